@@ -30,8 +30,6 @@ ALLOWED = {
         "after": "a drive of four laps has too few switches",
         "sessions": "a drive of four laps has too few switches",
     },
-    "formula_model": {"seed": "without a bootstrap"},
-    "ordinal_model": {"seed": "without a bootstrap"},
     "paired_t_test": {"missing": "nothing is missing"},
     "parameter_draws": {"laps": "a value may be anything"},
     "parameter_grid": {"lower": "a value may be anything", "upper": "a value may be anything"},
@@ -176,9 +174,6 @@ KNOWN = {
     },
     "reconstruct": {
         "p_adjust": "no difference",
-    },
-    "RepeatedMeasures.aligned_ranks": {
-        "error": "NaN is taken",
     },
     "RepeatedMeasures.plot": {
         "axes": "foreign errors",

@@ -86,10 +86,9 @@ def test_a_study_without_error_is_named():
 
 def test_units_and_offsets_cost_no_digits_and_those_beyond_double_precision_are_refused():
     array = draw(1, 5, 4)
-    with pytest.raises(ValueError, match="another unit"):
-        analysed(array * 1e160)
-    with pytest.raises(ValueError, match="another unit"):
-        analysed(array * 1e-150)
+    for unit in (1e160, 1e-170):
+        with pytest.raises(ValueError, match="no number holds it"), np.errstate(over="ignore"):
+            analysed(array * unit)
     usual = analysed(array)
     for unit in (1e-95, 1e-20, 1e130):
         pd.testing.assert_frame_equal(analysed(array * unit)[OMNIBUS], usual[OMNIBUS], rtol=1e-9)

@@ -68,5 +68,5 @@ def test_adjusted_differences_do_not_see_carry_over_and_raw_means_do():
 
 
 def test_a_score_that_is_missing_is_named():
-    with pytest.raises(ValueError, match="dv: subject 1 has no score at position 3"):
+    with pytest.raises(ValueError, match="subject 1 has no score in condition 3"):
         run(williams().drop(index=2))

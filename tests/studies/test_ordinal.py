@@ -1,5 +1,5 @@
 """
-Cumulative-link mixed models. Oracles: clmm and clmm2 of R's ordinal (reference/ordinal_model.R)
+Cumulative-link mixed models. Oracles: clmm of R's ordinal (reference/ordinal_model.R)
 and, for two categories, glmer of lme4 (reference/logistic_model.R) on published data and as its
 manual prints it; the likelihood's integral by another quadrature, logistic regression, simulation.
 """
@@ -18,7 +18,7 @@ from trustlab.studies.ordinal import Cumulative
 R = reference("ordinal_model")
 BINARY = reference("logistic_model")["sets"]
 WINE = pd.DataFrame(R["wine"])
-VERBAL = pd.DataFrame(R["verbal"])
+THRESHOLDS = ("thresholds", "thresholds_se")
 
 
 @pytest.fixture(scope="module")
@@ -28,16 +28,21 @@ def wine():
 
 def test_agrees_with_clmm(wine):
     expected = R["interaction"]
-    for table, names in (
-        (wine.coefficients_table(), ("estimate", "se")),
-        (wine.thresholds_table(), ("thresholds", "thresholds_se")),
-    ):
+    for names, rows in ((("estimate", "se"), slice(3)), (THRESHOLDS, slice(3, None))):
         theirs = np.transpose([expected[name] for name in names])
+        table = wine.coefficients_table()[rows]
         np.testing.assert_allclose(table[["estimate", "se"]], theirs, atol=1e-5)
     variance = wine.random_effects()["variance"].item()
     assert variance == pytest.approx(expected["covariance"][0][0], abs=1e-5)
     assert wine.log_likelihood == pytest.approx(expected["log_likelihood"], abs=1e-8)
     assert wine.table()["chi2"].to_numpy() == pytest.approx([*R["tests"].values()], abs=1e-5)
+
+
+def test_a_covariate_agrees_with_clmm2():
+    frame = pd.DataFrame(R["verbal"])
+    frame["do"] = (frame["mode"] == frame["mode"].max()) * 1.0
+    model = tl.ordinal_model(frame, "answer", "situ", "id", covariates=["do"])
+    assert model.log_likelihood == pytest.approx(R["proportional"]["location"], abs=1e-4)
 
 
 def outcomes(name):
@@ -83,7 +88,7 @@ def test_two_categories_agree_with_lme4(name):
     expected.loc["(Intercept)", "estimate"] *= -1.0
     found = model.coefficients_table().set_index("name")
     found.index = found.index.str.replace(r"\[T\.|\]|`", "", regex=True)
-    found.loc["(Intercept)"] = model.thresholds_table().iloc[0]
+    found = found.rename({"0 | 1": "(Intercept)"})
     found = found.loc[expected.index, ["estimate", "se"]].astype(float)
     np.testing.assert_allclose(found["estimate"], expected["estimate"], rtol=0.0, atol=5e-6)
     np.testing.assert_allclose(found["se"], expected["se"], rtol=1e-5)
@@ -110,24 +115,11 @@ def test_without_random_effects_it_is_logistic_regression():
     assert row["se"] == pytest.approx(plain.bse.iloc[1], rel=1e-4)
 
 
-def test_proportional_odds_agree_with_clmm2():
-    frame = VERBAL.assign(do=(VERBAL["mode"] == VERBAL["mode"].max()) * 1.0)
-    found = tl.ordinal_model(frame, "answer", "situ", "id", covariates=["do"])
-    expected = R["proportional"]
-    check = found.proportional_odds().set_index("term").loc["do"]
-    assert found.log_likelihood == pytest.approx(expected["location"], abs=1e-4)
-    chi2 = 2.0 * (expected["nominal"] - expected["location"])
-    assert check["chi2"] == pytest.approx(chi2, abs=1e-3)
-    assert (check["df"], check["p"] < 0.05) == (1, True)
-
-
-def test_likelihood_is_the_integral_and_its_slopes_are_exact():
-    """With few nodes, whose places matter, as with many."""
-    rng = np.random.default_rng(0)
+def test_likelihood_is_the_integral():
+    """With the answers of a person, some of them given many times."""
     ends = np.array([-np.inf, -1.0, 0.5, np.inf])
-    # A person's answers, some of them given many times.
     category = np.repeat([0, 1, 2, 1, 2, 0], [3, 1, 10, 4, 40, 1])
-    shift = np.repeat(rng.standard_normal(6), [3, 1, 10, 4, 40, 1])
+    shift = np.repeat(np.random.default_rng(0).standard_normal(6), [3, 1, 10, 4, 40, 1])
     bounds = np.array([ends[category], ends[category + 1]]) - shift
     sd = 1.7
 
@@ -136,24 +128,9 @@ def test_likelihood_is_the_integral_and_its_slopes_are_exact():
         return np.exp(np.log(chance).sum() + 45.0) * stats.norm.pdf(v)
 
     exact = integrate.quad(integrand, -9.0, 9.0, points=[-1.0, 0.0], epsabs=0, epsrel=1e-12)[0]
-    many = Cumulative(np.zeros(59, dtype=int), 3, 40)._integrals(bounds, sd)[0]
-    assert many == pytest.approx(np.log(exact) - 45.0, abs=1e-9)
-    step = 1e-5
-    for points in (1, 2, 15):
-        model = Cumulative(np.repeat([0, 1, 2], [4, 14, 41]), 3, points)
-        _, by_bound, by_sd = model._integrals(bounds, sd)
-
-        def slope(move, by=0.0, model=model):
-            ahead, behind = (
-                model._integrals(bounds + sign * move, sd + sign * by)[0] for sign in (1, -1)
-            )
-            return (ahead - behind) / (2.0 * step)
-
-        assert by_sd == pytest.approx(slope(0.0 * shift, step), abs=1e-7)
-        for side, row in zip(*np.nonzero(np.isfinite(bounds)), strict=True):
-            move = np.zeros(bounds.shape)
-            move[side, row] = step
-            assert by_bound[side, row] == pytest.approx(slope(move), abs=1e-7)
+    model = Cumulative(category, np.zeros(59, dtype=int), 40)
+    found = model.log_likelihood(shift, ends[1:3], sd)
+    assert found == pytest.approx(np.log(exact) - 45.0, abs=1e-9)
 
 
 def test_probabilities_are_shares_of_many_people(wine):
@@ -165,8 +142,8 @@ def test_probabilities_are_shares_of_many_people(wine):
     assert inside.all()
     rng = np.random.default_rng(0)
     people = wine.random_effects()["sd"].item() * rng.standard_normal(200_000)
-    eta = wine.coefficients_table()["estimate"].sum() + people + rng.logistic(size=people.size)
-    rating = np.searchsorted(wine.thresholds_table()["estimate"], eta)
+    eta = wine.coefficients_table()["estimate"][:3].sum() + people + rng.logistic(size=people.size)
+    rating = np.searchsorted(wine.coefficients_table()["estimate"][3:], eta)
     last = cells.tail(5)["probability"]
     np.testing.assert_allclose(np.bincount(rating) / people.size, last, atol=0.004)
 
@@ -174,9 +151,11 @@ def test_probabilities_are_shares_of_many_people(wine):
 def test_effects_are_odds_and_superiority(wine):
     """Of two answers of the median person, drawn many times, the share that is higher."""
     pair = wine.pairs().set_index(["a", "b"]).loc[("cold × no", "warm × yes")]
-    assert pair["odds_ratio"] == pytest.approx(np.exp(-wine.coefficients_table()["estimate"].sum()))
+    assert pair["odds_ratio"] == pytest.approx(
+        np.exp(-wine.coefficients_table()["estimate"][:3].sum())
+    )
     rng = np.random.default_rng(1)
-    cuts = wine.thresholds_table()["estimate"].to_numpy()
+    cuts = wine.coefficients_table()["estimate"][3:].to_numpy()
     a = np.searchsorted(cuts, rng.logistic(size=200_000))
     b = np.searchsorted(cuts, rng.logistic(size=200_000) - pair["estimate"])
     share = (a > b).mean() + 0.5 * (a == b).mean()
@@ -211,24 +190,6 @@ def test_groups_sentences_and_speed():
     assert between.table()["term"].tolist() == ["group"]
 
 
-def test_bootstrap_and_draws():
-    frame = ratings(8)
-    first, again = (
-        tl.ordinal_model(frame, "trust", "mode", "person", bootstrap=9, seed=1).table()
-        for _ in range(2)
-    )
-    pd.testing.assert_frame_equal(first, again)
-    assert 0.1 <= first["p_bootstrap"].item() <= 1.0
-    codes = np.repeat(np.arange(1000), 4)
-    model, x = Cumulative(codes, 3, 9), np.tile(np.eye(4)[:, 1:], (1000, 1))
-    fit = model.fit(np.tile([0, 1, 2, 1], 1000), x)
-    truth = fit._replace(beta=np.array([0.5, 1.0, -0.5]), thresholds=np.array([-1, 1.0]), sd=1.3)
-    found = model.fit(model.draw(truth, x, np.random.default_rng(0)), x)
-    assert found.sd == pytest.approx(1.3, abs=0.2)
-    np.testing.assert_allclose(found.beta, truth.beta, atol=0.3)
-    np.testing.assert_allclose(found.thresholds, truth.thresholds, atol=0.3)
-
-
 @pytest.mark.parametrize(
     ("rating", "message"),
     [
@@ -246,7 +207,7 @@ def test_ratings_that_cannot_be_fitted_are_refused(rating, message):
 @pytest.mark.parametrize(
     ("factors", "message"),
     [
-        ({"within": [], "between": "mode"}, "subject 0 has two labels in column 'mode'"),
+        ({"within": [], "between": "mode"}, "subject 0 has several labels in column 'mode'"),
         ({"within": "group"}, "within: column 'group' has one label for every person"),
         ({"within": []}, "within and between name no factor"),
     ],

@@ -84,8 +84,6 @@ def test_ties_do_not_depend_on_the_unit():
         found = run(a * unit, b * unit)
         assert found.wilcoxon_p == pytest.approx(whole.wilcoxon_p, rel=1e-12)
         assert found.wilcoxon_v == whole.wilcoxon_v
-    assert "twelve digits" in run(a * 0.1, b * 0.1).wilcoxon_method
-    assert "twelve digits" not in whole.wilcoxon_method
 
 
 @pytest.mark.parametrize("name", SETS)

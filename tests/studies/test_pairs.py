@@ -1,6 +1,6 @@
 """
 Pairs of conditions and adjusted p. Oracles: SciPy, statsmodels, R's p.adjust; theorems. Factorial
-pairs: test_factorial.py; with R: test_against_r.py, test_aligned_ranks.py.
+pairs: test_factorial.py; with R: test_against_r.py.
 """
 
 import numpy as np
@@ -57,19 +57,8 @@ def test_the_interval_of_d_z_goes_on_where_t_is_huge():
     np.testing.assert_allclose(near, far, rtol=1e-3)
 
 
-def test_pooled_errors_of_one_factor_are_those_of_the_anova():
-    """Oracle: t² of two means with the mean square of the error, on its degrees of freedom."""
-    scores = draw(1, 9, 4)[0]
-    result = tl.repeated_measures(long(scores), **COLUMNS)
-    pairs = result.pairs(error="pooled")
-    a, b = np.triu_indices(4, 1)
-    difference = scores.mean(axis=0)[a] - scores.mean(axis=0)[b]
-    t = difference / np.sqrt(2.0 * result.ss_error / result.df2 / 9)
-    np.testing.assert_allclose(pairs["t"], t, rtol=1e-10)
-    np.testing.assert_allclose(pairs["df"], 24.0, rtol=1e-10)
-    assert not np.allclose(pairs["t"], result.pairs()["t"])
-    with pytest.raises(ValueError, match="error has no effect on Wilcoxon"):
-        result.pairs(method="wilcoxon", error="pooled")
+def test_two_names_of_one_factor_are_refused():
+    result = tl.repeated_measures(long(draw(1, 9, 4)[0]), **COLUMNS)
     with pytest.raises(ValueError, match="factor and at are both 'mode'; name two factors"):
         result.pairs("mode", at="mode")
 

@@ -69,42 +69,28 @@ def test_missing_cells_as_rows_not_there_or_as_nan():
         assert "1, 4" in result.apa()
         assert "1, 4" in result._repr_html_()
         np.testing.assert_allclose(result.F, complete.F, rtol=1e-12)
-        assert result.assumptions()["mixed_n"].item() == 12  # the cells that are there
 
 
 # ---- what it decides
 
 
-def test_the_correction_and_its_reason():
-    """By default that of afex; "auto" looks at Mauchly's test."""
-    rng = np.random.default_rng(1)
-    violated = long(rng.standard_normal((24, 4)) * [1, 2, 4, 8])
-    met = drawn(24, seed=2, mode="abcd")
-    for frame, spherical in ((violated, False), (met, True)):
-        result, usual = analysed(frame, correction="auto"), analysed(frame)
-        assert (result.mauchly_p > 0.05) == spherical == (result.correction == "none")
-        words = "does not reject" if spherical else "rejects sphericity"
-        assert words in result.reason
-        assert (usual.correction, usual.p_corrected) == ("greenhouse-geisser", usual.p_gg)
-        assert usual.df1_corrected == usual.df1_gg == pytest.approx(3 * usual.epsilon_gg)
-        for correction, end in (("huynh-feldt", "_hf"), ("none", "")):
-            other = analysed(frame, correction=correction)
-            assert other.reason.endswith("whatever Mauchly's test says.")
-            corrected = [other.p_corrected, other.df1_corrected, other.df2_corrected]
-            names = (f"p{end}", f"df1{end}", f"df2{end}")
-            assert corrected == [getattr(other, name) for name in names]
+def test_the_correction():
+    """By default that of afex; two conditions need none."""
+    frame = drawn(24, seed=2, mode="abcd")
+    for correction, end in {"greenhouse-geisser": "_gg", "huynh-feldt": "_hf", "none": ""}.items():
+        found = analysed(frame, correction=correction)
+        epsilon = getattr(found, f"epsilon{end}", 1.0) if end else 1.0
+        assert found.p_corrected == getattr(found, f"p{end}")
+        assert (found.df1_corrected, found.df2_corrected) == (3 * epsilon, 69 * epsilon)
+    assert analysed(frame).correction == "greenhouse-geisser"
     two = analysed(drawn(mode="ab"), correction="huynh-feldt")
     assert (two.correction, two.p_corrected) == ("none", two.p)
-    assert "two conditions" in two.reason
 
 
 def test_mauchly_is_refused_for_too_few_subjects():
-    result = analysed(drawn(3, mode="abcd"), correction="auto")
+    result = analysed(drawn(3, mode="abcd"))
     assert np.isnan([result.mauchly_w, result.mauchly_chi2, result.mauchly_p]).all()
-    assert "3 subjects are too few for 4 conditions" in result.mauchly_reason
-    assert result.correction == "greenhouse-geisser"
-    assert "cannot be tested" in result.reason
-    assert "3 subjects are too few" in result.apa()
+    assert "Mauchly's test of sphericity is not defined." in result.apa()
     assert np.isfinite(analysed(drawn(4, mode="abcd")).mauchly_p)  # one more subject is enough
 
 
@@ -116,11 +102,6 @@ def test_what_has_no_spread_is_said():
     assert np.isnan(result.pairs()["t"]).tolist() == [True, False, False]
     assert np.isnan(result.normality()["W"]).tolist() == [True, False, False]
     assert "no test" in result.apa()
-    for k in (2, 3):
-        constant = long(np.where(np.arange(k) == 1, 7.1, wide[:, :k]))
-        result = analysed(constant)
-        assert "Every subject had the same score in b (SD = 0)." in result.apa()
-    assert "SD = 0)" not in analysed(frame).apa()
 
 
 # ---- intervals
@@ -147,11 +128,11 @@ def test_apa_sentence():
     assert re.search(r"F\(3, 69\) = \d+\.\d\d, p < \.001, ηp² = \.\d\d", result.apa())
     assert re.search(r"Mauchly's W = \.\d\d, χ²\(5\) = \d+\.\d\d, p = \.\d{3}", result.apa())
     assert "Holm-adjusted" in result.apa()
-    assert "a < d" in result.apa()
+    assert "lower in a than in d, t(23)" in result.apa()
     assert "Bonferroni-adjusted" in result.apa(adjust="bonferroni")
     none = analysed(drawn(seed=1, mode="abcd")).apa()
-    assert "did not differ significantly" in none
-    assert "found no significant difference" in none
+    assert "mode was not significant" in none
+    assert "Paired t-tests (Holm-adjusted p): No significant difference between a and b" in none
     with pytest.raises(ValueError, match="'fdr'"):
         result.apa(adjust="fdr")
 
@@ -280,7 +261,6 @@ def test_real_measures(measure):
     ]
     np.testing.assert_allclose(ours, REAL[measure], rtol=1e-9)
     assert (result.n, result.k) == (24, 5 if "all" in file else 4)
-    np.testing.assert_allclose(result.assumptions()["mixed_F"], result.F, rtol=1e-6)
 
 
 def test_assumptions_are_those_of_the_single_tests():
@@ -296,7 +276,6 @@ def test_assumptions_are_those_of_the_single_tests():
     assert found["pairs_not_normal"] == pingouin.multicomp(p, method="holm")[0].sum() > 0
     assert found["p_friedman"] == pytest.approx(stats.friedmanchisquare(*values.T).pvalue)
     assert found["p_anova"] == result.p_corrected
-    assert found["mixed_F"] == pytest.approx(result.F, rel=1e-6)
 
 
 def test_wilcoxon_pairs_are_those_of_scipy():

@@ -1,5 +1,7 @@
 """Winsorizing: values by hand, SciPy's for the classical rule, and a list of every change."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,8 +18,11 @@ def of_values(x, **rule):
     """Winsorize one condition's scores, beside another that is left alone."""
     x = np.asarray(x)
     cells = {"pid": np.arange(x.size), "error": x}
-    frame = pd.concat([pd.DataFrame(cells).assign(scheme=name) for name in ("A", "B")])
-    return winsorize(frame, "error", "scheme", "pid", conditions=["A"], **rule)
+    other = pd.DataFrame(cells).assign(scheme="B", error=np.arange(x.size))
+    frame = pd.concat([pd.DataFrame(cells).assign(scheme="A"), other])
+    both = winsorize(frame, "error", "scheme", "pid", **rule)
+    parts = {name: getattr(both, name).query("condition == 'A'") for name in ("changes", "limits")}
+    return replace(both, **parts)
 
 
 def scores_of(winsorized):

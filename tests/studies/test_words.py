@@ -100,8 +100,8 @@ def test_pairs_have_the_interval_of_d_z():
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
-        ([3], "1 participant with missing cells was left out (1)."),
-        ([3, 5], "2 participants with missing cells were left out (1, 2)."),
+        ([3], "Left out for missing scores: 1 participant (1)."),
+        ([3, 5], "Left out for missing scores: 2 participants (1, 2)."),
     ],
 )
 def test_one_participant_and_several(rows, words):

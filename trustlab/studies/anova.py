@@ -7,10 +7,10 @@ subjects: the intercept tests that effect, the columns of groups its interaction
 effect within subjects has its own error term, as in `Anova` of car and `aov_car` of afex.
 """
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
-from itertools import chain, combinations
+from itertools import chain, combinations, count
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,13 +18,10 @@ import pandas as pd
 from scipy import special
 from scipy.optimize import brentq
 
-from trustlab.models.checks import finite_numbers, not_negative, open_unit, positive, shown
-from trustlab.studies.table import labels_of
+from trustlab.models.checks import finite_numbers, not_negative, open_unit, positive
 
-CORRECTIONS = ("none", "greenhouse-geisser", "huynh-feldt")
-
-# Sizes of scores beyond which squares would overflow, and below which they would underflow.
-_GREATEST, _LEAST = 1e140, 1e-100
+# The end of the names of p and ε with each correction.
+CORRECTIONS = {"none": "", "greenhouse-geisser": "_gg", "huynh-feldt": "_hf"}
 
 # Smallest ratio of eigenvalues that double precision distinguishes from zero.
 _RELATIVE_RANK = 1e-14
@@ -99,11 +96,19 @@ class Design:
         """(X'X/n)⁻¹."""
         return np.linalg.inv(self.matrix.T @ self.matrix / self.n)
 
-    def rows(self, block: tuple) -> np.ndarray:
-        """Return the rows that select the coefficients of an effect between subjects."""
-        ends = np.cumsum([part.shape[1] for part in self.blocks.values()])
-        parts = np.split(np.eye(ends[-1]), ends[:-1])
-        return dict(zip(self.blocks, parts, strict=True))[block]
+    @property
+    def combinations(self) -> np.ndarray:
+        """The regressors of one subject in every combination of groups, a row each."""
+        sizes = [len(levels) for levels in self.between.values()]
+        codes = np.indices(sizes).reshape(len(sizes), int(np.prod(sizes)))
+        numbers = dict(zip(self.between, codes, strict=True))
+        return Design(codes.shape[1], {}, self.between, numbers).matrix
+
+    @cached_property
+    def columns(self) -> dict[tuple, list[int]]:
+        """The columns of every effect between subjects."""
+        number = count()
+        return {block: [next(number) for _ in x.T] for block, x in self.blocks.items()}
 
     def contrasts(self, names: tuple) -> np.ndarray:
         """Return orthonormal contrasts of the cells for an effect; other factors are averaged."""
@@ -133,41 +138,17 @@ class Regression(NamedTuple):
     residual: np.ndarray
     rounding: np.ndarray
 
-    def sum_of_squares(self, contrasts: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Return that of the hypothesis `rows` · coefficients · `contrasts` = 0 of each study."""
-        # SS = n |L⁻¹ R B C|² with L L' = R (X'X/n)⁻¹ R'
-        root = np.linalg.cholesky(rows @ self.design.inverse @ rows.T)
-        whitened = np.linalg.solve(root, rows) @ self.coefficients @ contrasts
+    def sum_of_squares(self, contrasts: np.ndarray, columns: list[int]) -> np.ndarray:
+        """Return that of the hypothesis that coefficients · `contrasts` are 0 of each study."""
+        # SS = n |L⁻¹ B C|² with L L' the part of (X'X/n)⁻¹ that belongs to the columns
+        root = np.linalg.cholesky(self.design.inverse[np.ix_(columns, columns)])
+        whitened = np.linalg.solve(root, self.coefficients[:, columns] @ contrasts)
         return self.design.n * (whitened**2).sum(axis=(1, 2))
 
     def covariance(self, contrasts: np.ndarray) -> np.ndarray:
         """Return the residual covariance of contrasts, shape (studies, d, d)."""
         errors = self.residual @ contrasts
         return np.swapaxes(errors, 1, 2) @ errors / self.design.df_error
-
-    def test(self, contrasts: np.ndarray, rows: np.ndarray) -> dict[str, Any]:
-        """
-        Return F of that hypothesis with its effect size, sphericity and p under each correction; F
-        is NaN where the error variance is zero.
-        """
-        df_error, cells = self.design.df_error, self.residual.shape[2]
-        ss, covariance = self.sum_of_squares(contrasts, rows), self.covariance(contrasts)
-        error = np.trace(covariance, axis1=1, axis2=2)
-        df1, df2 = contrasts.shape[1] * len(rows), contrasts.shape[1] * df_error
-        f = ss / len(rows) / np.where(error > 0.0, error, np.nan)
-        tests = sphericity(covariance, df_error, self.rounding**2, cells)
-        gg, hf = tests["epsilon_gg"], tests["epsilon_hf"]
-        return {
-            "F": f,
-            "df1": df1,
-            "df2": df2,
-            "p": special.fdtrc(df1, df2, f),
-            "p_gg": special.fdtrc(gg * df1, gg * df2, f),
-            "p_hf": special.fdtrc(hf * df1, hf * df2, f),
-            "eta2_partial": f * df1 / (f * df1 + df2),
-            "ss_effect": ss,
-            "ss_error": df_error * error,
-        } | tests
 
 
 def regress(scores: np.ndarray, design: Design) -> Regression:
@@ -243,38 +224,47 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
     Return the type III test of every effect, a row per study and effect, of scores of shape
     (studies, n, cells); the columns are those of `repeated_measures_batch`.
     """
-    largest = np.abs(scores).max(axis=(1, 2))
-    extreme = (largest > _GREATEST) | ((largest > 0.0) & (largest < _LEAST))
-    if extreme.any():
-        study = int(np.argmax(extreme))
-        raise ValueError(
-            f"study {study}: scores of size {largest[study]:.3g}, whose squares no number holds; "
-            "use another unit"
-        )
     regression = regress(scores, design)
-    residual = regression.residual
+    residual, floor = regression.residual, regression.rounding**2
     errors = (residual**2).sum(axis=(1, 2))
     subjects = (residual.sum(axis=2) ** 2).sum(axis=1) / residual.shape[2]
     labels, tests = [], []
     for block, names in design.effects:
-        test = regression.test(design.contrasts(names), design.rows(block))
-        # Of all variance but that of the other effects (Olejnik and Algina, 2003).
-        total = test["ss_effect"] + errors
-        test["eta2_generalized"] = test["ss_effect"] / np.where(total > 0.0, total, np.nan)
-        tests.append(test | {"ss_subjects": subjects})
-        labels.append(effect_name(block, names))
-    columns = {
-        name: np.column_stack([np.broadcast_to(test[name], len(scores)) for test in tests])
+        contrasts, columns = design.contrasts(names), design.columns[block]
+        label = effect_name(block, names)
+        d, ss = contrasts.shape[1], regression.sum_of_squares(contrasts, columns)
+        covariance = regression.covariance(contrasts)
+        error = np.trace(covariance, axis1=1, axis2=2)
+        for study in np.flatnonzero((error <= d * floor) | ~np.isfinite(error)):
+            raise ValueError(
+                f"study {study}: the error variance is zero for {label} (all subjects differ by "
+                "the same amounts, or not at all), or no number holds it: F is not defined"
+            )
+        df1, df2, f = d * len(columns), d * design.df_error, ss / len(columns) / error
+        shape = sphericity(covariance, design.df_error, floor, residual.shape[2])
+        gg, hf = shape["epsilon_gg"], shape["epsilon_hf"]
+        test = {
+            "F": f,
+            "df1": df1,
+            "df2": df2,
+            "p": special.fdtrc(df1, df2, f),
+            "p_gg": special.fdtrc(gg * df1, gg * df2, f),
+            "p_hf": special.fdtrc(hf * df1, hf * df2, f),
+            "eta2_partial": f * df1 / (f * df1 + df2),
+            "ss_effect": ss,
+            "ss_error": design.df_error * error,
+            # Of all variance but that of the other effects (Olejnik and Algina, 2003).
+            "eta2_generalized": ss / (ss + errors),
+            "ss_subjects": subjects,
+        }
+        labels.append(label)
+        tests.append(test | shape)
+    index = pd.MultiIndex.from_product([range(len(scores)), labels], names=["study", "effect"])
+    table = {
+        name: np.column_stack([np.broadcast_to(test[name], len(scores)) for test in tests]).ravel()
         for name in tests[0]
     }
-    noise = columns["df2"] * regression.rounding[:, None] ** 2
-    for study, effect in np.argwhere(columns["ss_error"] <= noise):
-        raise ValueError(
-            f"study {study}: the error variance is zero for {labels[effect]} (all subjects differ "
-            "by the same amounts, or not at all), so that F is not defined"
-        )
-    index = pd.MultiIndex.from_product([range(len(scores)), labels], names=["study", "effect"])
-    return pd.DataFrame({name: values.ravel() for name, values in columns.items()}, index)
+    return pd.DataFrame(table, index)
 
 
 def effect_name(block: tuple, names: tuple) -> str:
@@ -282,22 +272,14 @@ def effect_name(block: tuple, names: tuple) -> str:
     return " × ".join(map(str, (*block, *names)))
 
 
-def repeated_measures_batch(
-    array: np.ndarray,
-    factors: Sequence[Hashable] | None = None,
-    groups: Sequence[int] | None = None,
-) -> pd.DataFrame:
+def repeated_measures_batch(array: np.ndarray) -> pd.DataFrame:
     """
     Analyse many studies of the same size at once.
 
     Parameters
     ----------
     array : array_like, shape (studies, subjects, levels of the first factor, of the second, …)
-        Complete finite scores.
-    factors : sequence of hashable, optional
-        Names of the factors within subjects; by default "condition", or "A", "B" … of several.
-    groups : array_like, shape (subjects,), optional
-        Group of each subject; the factor is called "group".
+        Complete finite scores. The factor is called "condition", or "A", "B" … of several.
 
     Returns
     -------
@@ -329,18 +311,10 @@ def repeated_measures_batch(
             "array must have axes for studies (at least 1; one study is array[None]), subjects (3) "
             f"and each factor's levels (2), got shape {scores.shape}"
         )
-    n, *sizes = scores.shape[1:]
-    usual = ["condition"] if len(sizes) == 1 else [chr(ord("A") + i) for i in range(len(sizes))]
-    names = usual if factors is None else labels_of("factors", factors, len(sizes))
-    if len(names) != len(sizes):
-        raise ValueError(f"factors must name {len(sizes)} factors, got {shown(factors)}")
-    design = Design(n, {name: range(k) for name, k in zip(names, sizes, strict=True)})
-    if groups is not None:
-        labels, codes = np.unique(groups, return_inverse=True)
-        if codes.shape != (n,) or not 1 < len(labels) < n:
-            raise ValueError(f"groups must have a group for each of {n} subjects, two or more")
-        design = Design(n, design.within, {"group": labels.tolist()}, {"group": codes})
-    return effects(scores.reshape(*scores.shape[:2], -1), design)
+    studies, n, *sizes = scores.shape
+    names = ["condition"] if len(sizes) == 1 else "ABCDEFGHIJ"
+    within = {name: range(k) for name, k in zip(names, sizes, strict=False)}
+    return effects(scores.reshape(studies, n, -1), Design(n, within))
 
 
 class PartialEtaInterval(NamedTuple):

@@ -51,14 +51,14 @@ def _rows(n: int) -> int:
     return n if n % 2 == 0 else 2 * n
 
 
-def participants_needed(conditions: int | Sequence[Hashable], at_least: int = 1) -> int:
+def participants_needed(conditions: int, at_least: int = 1) -> int:
     """
     Return the smallest number of participants that fills whole squares.
 
     Parameters
     ----------
-    conditions : int or sequence of str
-        How many conditions, or their names.
+    conditions : int
+        How many conditions.
     at_least : int
         The fewest participants wanted, for example from a power analysis.
 
@@ -67,11 +67,8 @@ def participants_needed(conditions: int | Sequence[Hashable], at_least: int = 1)
     ValueError
         If there are fewer than two conditions, or `at_least` is not a whole number of at least 1.
     """
-    if isinstance(conditions, numbers.Number):
-        n = whole_number("conditions", conditions, least=2)
-    else:
-        n = len(labels_of("conditions", conditions, 2))
-    return -(-whole_number("at_least", at_least) // _rows(n)) * _rows(n)
+    size = _rows(whole_number("conditions", conditions, least=2))
+    return -(-whole_number("at_least", at_least) // size) * size
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,18 +108,9 @@ class DesignBalance(Result):
         return all(self._even)
 
     def table(self) -> pd.DataFrame:
-        """
-        Return all counts in one tidy table: kind, condition, position, after, count,
-        balanced_count.
-        """
-        places = self.positions.T.melt(ignore_index=False, value_name="count").reset_index()
-        follows = self.carry_over.melt(ignore_index=False, var_name="condition", value_name="count")
-        # nothing follows itself
-        follows = follows.rename_axis("after").reset_index().dropna(subset="count")
-        table = pd.concat([places.assign(kind="position"), follows.assign(kind="carry_over")])
-        table["balanced_count"] = places["count"].mean()
-        columns = ["kind", "condition", "position", "after", "count", "balanced_count"]
-        return table[columns].astype({"position": float, "count": int}).reset_index(drop=True)
+        """Return all counts: of every condition by position, and by the condition that follows."""
+        counts = {"position": self.positions, "followed by": self.carry_over}
+        return pd.concat(counts, axis=1)
 
 
 def design_balance(
@@ -159,23 +147,23 @@ def design_balance(
     columns = {"participant": participant, "position": position, "condition": condition}
     for argument, name in columns.items():
         refuse_missing_labels(column_of(orders, argument, name), argument)
-    conditions = list(labels_of("condition", orders[condition].drop_duplicates(), 2))
-    k = len(conditions)
-    for label, part in orders.groupby(participant, sort=False):
-        row = dict(zip(part[position], part[condition], strict=True))
-        if len(part) != k or set(row) != set(range(1, k + 1)) or set(row.values()) != {*conditions}:
-            raise ValueError(
-                f"participant {label!r} had {row}; each of {conditions} is needed once, at "
-                f"positions 1 to {k}"
-            )
     rows = orders.sort_values(position)
+    labels = sorted(orders[condition].unique(), key=str)
+    for label, part in rows.groupby(participant, sort=False):
+        places, names = part[position].tolist(), part[condition].tolist()
+        if sorted(names, key=str) != labels or places != [*range(1, len(labels) + 1)]:
+            raise ValueError(
+                f"participant {label!r} had {names} at {places}; each of {labels} is needed once, "
+                "at positions 1, 2 …"
+            )
     after, before = rows[condition], rows.groupby(participant)[condition].shift()
-    places = pd.crosstab(after, rows[position]).rename_axis("condition", axis=0)
-    follows = pd.crosstab(before, after).rename_axis("before", axis=0).rename_axis("after", axis=1)
-    follows = follows.reindex(index=conditions, columns=conditions, fill_value=0)
+    places = pd.crosstab(after, rows[position])
+    follows = pd.crosstab(before, after).reindex(index=places.index, columns=places.index)
+    # Nothing follows itself.
+    follows = follows.fillna(0).where(~np.eye(len(places), dtype=bool))
     return DesignBalance(
-        places.rename_axis("position", axis=1).loc[conditions],
-        follows.where(~np.eye(k, dtype=bool)),
+        places.rename_axis(index="condition", columns="position"),
+        follows.rename_axis(index="before", columns="after"),
     )
 
 

@@ -5,21 +5,21 @@ The scores of a participant have the covariance σ² (I + ρ 11ᵀ), where ρ is
 participants over the residual variance σ².
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy import special, stats
+from scipy import special
 from scipy.optimize import brentq
 
-from trustlab.models.checks import counted, of_class, spawned, whole_number
+from trustlab.models.checks import counted, of_class
 from trustlab.studies.anova import Design, effect_name, partial_eta_interval, subsets
-from trustlab.studies.pairs import d_z_interval, holm, paired_levels
+from trustlab.studies.pairs import compared, estimates_of, level_pairs
 from trustlab.studies.table import (
-    ScoreTable,
     Tested,
     column_of,
     labelled,
@@ -29,12 +29,10 @@ from trustlab.studies.table import (
     read_factors,
     refuse_missing_labels,
 )
-from trustlab.studies.words import apa_number, apa_p, share
+from trustlab.studies.words import effect_text
 
 # Ratios of variances between which a minimum of the deviance is bracketed.
 RATIOS = np.concatenate([[0.0], np.exp(np.linspace(-16.0, 23.0, 14))])
-# Simulated statistics this close to the observed one are equal but for rounding.
-TIE = 1e-7
 
 
 class InterceptFit(NamedTuple):
@@ -46,11 +44,6 @@ class InterceptFit(NamedTuple):
     inverse: np.ndarray  # of Xᵀ V⁻¹ X, V the covariance over the residual variance
     ratio: float
     residual: float
-
-    @property
-    def llf(self) -> float:
-        """Log-likelihood with all its constants."""
-        return -0.5 * self.deviance
 
 
 class RandomIntercepts:
@@ -108,12 +101,6 @@ class RandomIntercepts:
             bracket = RATIOS[i], RATIOS[i + 1]
             minima.append(brentq(lambda ratio: profile(ratio).slope, *bracket, xtol=1e-18))
         return min(map(profile, minima), key=lambda fit: fit.deviance)
-
-    def draw(self, fit: InterceptFit, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return scores drawn from a fitted model."""
-        people = np.sqrt(fit.ratio) * rng.standard_normal(self.counts.size)
-        noise = people[self.codes] + rng.standard_normal(self.codes.size)
-        return x @ fit.beta + np.sqrt(fit.residual) * noise
 
 
 # One score in cells of factors.
@@ -174,9 +161,9 @@ class MixedModel(Tested):
         -------
         pandas.DataFrame
             Columns level (of `at`), a, b, mean_difference (a − b), se, t, p, ci_low, ci_high (95 %,
-            unadjusted), df, p_holm, d_z (over √2 residual standard deviations; NaN between groups)
-            with its interval, d_z_low, d_z_high (95 %), and d_av (over the standard deviation of a
-            score).
+            unadjusted), df, p_bonferroni, p_holm, d_z (over √2 residual standard deviations; NaN
+            between groups) with its interval, d_z_low, d_z_high (95 %), and d_av (over the standard
+            deviation of a score).
 
         Raises
         ------
@@ -185,38 +172,21 @@ class MixedModel(Tested):
         """
         factor = [*self.factors][len(self.between)] if factor is None else factor
         df = self.tests.set_index("effect")["df2"].get(str(factor))
+        pairs, weights = level_pairs(Design(self.n, self.factors), factor, at)
+        weights = weights[:, 0]
+        difference = weights @ self.means["mean"].to_numpy()
+        se = np.sqrt(((weights @ self.covariance) * weights).sum(axis=1))
         twice = np.nan if factor in self.between else 2.0 * self.residual_variance
-
-        def test(weights: np.ndarray, _: np.ndarray) -> pd.DataFrame:
-            difference = weights.T @ self.means["mean"].to_numpy()
-            se = np.sqrt((weights * (self.covariance @ weights)).sum(axis=0))
-            tests = estimates_of(difference, se, df).rename(columns={"estimate": "mean_difference"})
-            scale = se / np.sqrt(twice)
-            low, high = d_z_interval(tests["t"].to_numpy(), df, scale)
-            return tests.assign(
-                df=df,
-                p_holm=holm(tests["p"].to_numpy()),
-                d_z=tests["t"] * scale,
-                d_z_low=low,
-                d_z_high=high,
-                d_av=difference / np.sqrt(self.subject_variance + self.residual_variance),
-            )
-
-        return labelled(paired_levels(Design(self.n, self.factors), factor, at, test), self.origin)
+        table = compared(pairs, difference, se, df, se / np.sqrt(twice))
+        both = np.sqrt(self.subject_variance + self.residual_variance)
+        return labelled(table.assign(d_av=difference / both), self.origin)
 
     def apa(self) -> str:
         """Return the sentence for a paper, with the test of every effect."""
-        effects = []
-        for row in self.tests.itertuples():
-            ends = f"[{share(row.eta2_partial_low)}, {share(row.eta2_partial_high)}]"
-            effects.append(
-                f"{row.effect} {'was' if row.p < 0.05 else 'was not'} significant, F({row.df1}, "
-                f"{row.df2}) = {apa_number(row.F)}, {apa_p(row.p)}, ηp² = "
-                f"{share(row.eta2_partial)}, 90% CI {ends}"
-            )
+        effects = "; ".join(map(effect_text, self.tests.to_dict("records")))
         return (
             f"{mark(self.origin)}A mixed model of {self.dv} with a random intercept per subject "
-            f"(N = {self.n}, {counted(self.missing_cells, 'cell')} missing): {'; '.join(effects)}."
+            f"(N = {self.n}, {counted(self.missing_cells, 'cell')} missing): {effects}."
         )
 
 
@@ -271,80 +241,54 @@ def mixed_model(
     """
     levels, groups = read_factors(frame, dv, within, subject, between, order)
     factors = groups | levels
-    return fit_mixed_model(read_cells(frame, dv, factors, subject), factors, [*groups])
-
-
-def fit_mixed_model(
-    table: ScoreTable, factors: dict | None = None, between: list | None = None
-) -> MixedModel:
-    """
-    Fit a random intercept per subject to scores arranged as subjects × cells of the factors, NaN
-    where there is none; the first factors are those between subjects.
-    """
-    factors, between = factors or {table.within: table.conditions}, between or []
-    groups = int(np.prod([len(factors[name]) for name in between]))
+    table = read_cells(frame, dv, factors, subject)
+    combinations = int(np.prod([len(levels) for levels in groups.values()]))
     there = ~np.isnan(table.values)
     if not there.any(axis=0).all():
         cell = table.conditions[np.argmin(there.any(axis=0))]
         raise ValueError(f"within: no subject has a score in cell {cell!r} of {table.within}")
-    subject, cell = np.nonzero(there)
-    y, x = table.values[subject, cell], np.eye(len(table.conditions))[cell]
-    model = RandomIntercepts("subject", pd.Series(subject, name=table.subject))
+    person, cell = np.nonzero(there)
+    y, x = table.values[person, cell], np.eye(len(table.conditions))[cell]
+    model = RandomIntercepts("subject", pd.Series(person, name=table.subject))
     fit = model.fit(y, x, restricted=True)
     n = model.counts.size
-    covariance = fit.residual * fit.inverse
+    between_df, within_df = n - combinations, y.size - n - x.shape[1] + combinations
     rows = []
-    design = Design(n, factors)
     for names in subsets(factors)[1:]:
-        df2 = n - groups
-        if not set(names) <= set(between):
-            df2 = y.size - n - x.shape[1] + groups
-        rows.append({"effect": effect_name((), names)} | _wald(fit, design.contrasts(names), df2))
-    tests = pd.DataFrame(rows)
+        contrasts = Design(n, factors).contrasts(names)
+        effect = contrasts.T @ fit.beta
+        spread = fit.residual * contrasts.T @ fit.inverse @ contrasts
+        chi2, df1 = float(effect @ np.linalg.solve(spread, effect)), effect.size
+        df2 = between_df if {*names} <= {*groups} else within_df
+        eta = partial_eta_interval(chi2 / df1, df1, df2)
+        test = {"effect": effect_name((), names), "F": chi2 / df1, "df1": df1, "df2": df2}
+        test |= {"p": special.fdtrc(df1, df2, chi2 / df1), "chi2": chi2}
+        test |= {"p_chi2": special.chdtrc(df1, chi2), "eta2_partial": chi2 / (chi2 + df2)}
+        rows.append(test | {"eta2_partial_low": eta.low, "eta2_partial_high": eta.high})
+    tests = pd.DataFrame(rows).assign(
+        subject_variance=fit.ratio * fit.residual,
+        residual_variance=fit.residual,
+        icc=fit.ratio / (1.0 + fit.ratio),
+        singular=fit.ratio == 0.0,
+        n=n,
+        cells=y.size,
+        missing_cells=n * x.shape[1] // combinations - y.size,
+    )
+    covariance = fit.residual * fit.inverse
     means = estimates_of(fit.beta, np.sqrt(np.diag(covariance)), tests["df2"].min())
-    means = means.rename(columns={"estimate": "mean"})[["mean", "se", "ci_low", "ci_high"]]
-    labels = [*table.conditions]
+    means.index = pd.Index(map(str, table.conditions), name="condition")
     if len(factors) > 1:
-        labels = [effect_name((), levels) for levels in labels]
-    means.index = pd.Index(labels, name="condition", tupleize_cols=False)
-    numbers = {
-        "subject_variance": fit.ratio * fit.residual,
-        "residual_variance": fit.residual,
-        "icc": fit.ratio / (1.0 + fit.ratio),
-        "singular": fit.ratio == 0.0,
-        "n": n,
-        "cells": y.size,
-        "missing_cells": n * x.shape[1] // groups - y.size,
-    }
+        means.index = [effect_name((), levels) for levels in table.conditions]
+    means = means.rename(columns={"estimate": "mean"})[["mean", "se", "ci_low", "ci_high"]]
     return MixedModel(
         dv=table.dv,
         factors=factors,
-        between=between,
-        tests=labelled(tests.assign(**numbers), table.origin),
+        between=[*groups],
+        tests=labelled(tests, table.origin),
         means=labelled(means, table.origin),
         covariance=covariance,
         origin=table.origin,
     )
-
-
-def _wald(fit: InterceptFit, contrasts: np.ndarray, df2: int) -> dict[str, float]:
-    """Return the test of contrasts of the cells."""
-    effect = contrasts.T @ fit.beta
-    spread = fit.residual * contrasts.T @ fit.inverse @ contrasts
-    chi2, df1 = float(effect @ np.linalg.solve(spread, effect)), effect.size
-    f = chi2 / df1
-    eta = partial_eta_interval(f, df1, df2)
-    return {
-        "F": f,
-        "df1": df1,
-        "df2": df2,
-        "p": special.fdtrc(df1, df2, f),
-        "chi2": chi2,
-        "p_chi2": special.chdtrc(df1, chi2),
-        "eta2_partial": chi2 / (chi2 + df2),
-        "eta2_partial_low": eta.low,
-        "eta2_partial_high": eta.high,
-    }
 
 
 # Models by formula.
@@ -365,10 +309,10 @@ class FormulaModel(Tested):
         Groups and rows.
     tests, coefficients : pandas.DataFrame
         What `table` and `coefficients_table` return.
-    fit, maximum : InterceptFit
-        Maximum of the restricted likelihood, and of the likelihood.
-    draws : int
-        Simulated data sets of the parametric bootstrap; 0 without it.
+    fit : InterceptFit
+        Maximum of the restricted likelihood.
+    log_likelihood : float
+        Maximum of the likelihood (not restricted), with all its constants.
     origin : str
         What kind of data these are where they were not measured; else empty.
     """
@@ -380,19 +324,13 @@ class FormulaModel(Tested):
     tests: pd.DataFrame
     coefficients: pd.DataFrame
     fit: InterceptFit
-    maximum: InterceptFit
-    draws: int
+    log_likelihood: float
     origin: str
 
     @property
     def title(self) -> str:
         """The formula."""
         return f"{self.formula}, random intercepts of {self.groups}"
-
-    @property
-    def log_likelihood(self) -> float:
-        """Maximum of the likelihood (not restricted), with all its constants."""
-        return self.maximum.llf
 
     @property
     def singular(self) -> bool:
@@ -402,9 +340,8 @@ class FormulaModel(Tested):
     @property
     def message(self) -> str:
         """Which data, and how they were tested."""
-        draws = f" and by {self.draws} simulated data sets" if self.draws else ""
         rows = f"{self.origin} {self.observations} rows of {self.n} groups".strip()
-        return f"{rows}; likelihood ratios, asymptotic{draws}"
+        return f"{rows}; likelihood ratios, asymptotic"
 
     def table(self) -> pd.DataFrame:
         """
@@ -414,9 +351,7 @@ class FormulaModel(Tested):
         Returns
         -------
         pandas.DataFrame
-            Columns term, chi2, df, p_chi2 (asymptotic: too small with few groups), p_bootstrap
-            (share of data sets simulated from the model without the term whose χ² is as large,
-            (count + 1)/(draws + 1); NaN without a bootstrap).
+            Columns term, chi2, df, p_chi2 (asymptotic: too small with few groups).
         """
         return super().table()
 
@@ -433,9 +368,7 @@ class FormulaModel(Tested):
         return variances_of(Intercept=self.fit.ratio * residual, residual=residual)
 
 
-def formula_model(
-    formula: str, data: pd.DataFrame, groups: Hashable, *, bootstrap: int = 0, seed: int = 0
-) -> FormulaModel:
+def formula_model(formula: str, data: pd.DataFrame, groups: Hashable) -> FormulaModel:
     """
     Fit a mixed model by formula, with a random intercept per group: trials and covariates.
 
@@ -447,12 +380,6 @@ def formula_model(
         One row per trial; rows with missing values or labels are refused.
     groups : hashable
         The column whose groups (subjects) have random intercepts.
-    bootstrap : int
-        Data sets simulated to test each term. No maintained Python library has Satterthwaite's or
-        Kenward and Roger's degrees of freedom; the likelihood ratio's own p is asymptotic and too
-        small with few groups.
-    seed : int
-        Of the bootstrap.
 
     Returns
     -------
@@ -480,7 +407,9 @@ def formula_model(
     y, regressors, terms = matrices_of(formula, frame)
     x = regressors.to_numpy()
     origin = origin_of(data)
-    tests = likelihood_ratios(y, x, terms, model, bootstrap, seed)
+    columns = tuple(range(x.shape[1]))
+    log_likelihood = cache(lambda kept: -0.5 * model.fit(y, x[:, kept]).deviance)
+    tests = likelihood_ratios(terms, columns, log_likelihood)
     fit = model.fit(y, x, restricted=True)
     coefficients = estimates_of(fit.beta, np.sqrt(fit.residual * np.diag(fit.inverse)))
     coefficients.insert(0, "name", regressors.columns)
@@ -492,8 +421,7 @@ def formula_model(
         tests=labelled(tests, origin),
         coefficients=labelled(coefficients, origin),
         fit=fit,
-        maximum=model.fit(y, x),
-        draws=bootstrap,
+        log_likelihood=log_likelihood(columns),
         origin=origin,
     )
 
@@ -507,8 +435,7 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
         variables = Formula(formula).required_variables
         matrices = model_matrix(formula, frame, na_action="ignore")
     except (FormulaicError, NameError, KeyError, SyntaxError, ValueError) as error:
-        there = ", ".join(map(str, frame))
-        raise ValueError(f"formula {formula!r}: {error} (columns are {there})") from None
+        raise ValueError(f"formula {formula!r}: {error} (columns are {[*frame]})") from None
     score, x = (pd.DataFrame(part, dtype=float) for part in (matrices.lhs, matrices.rhs))
     if score.shape[1] != 1:
         raise ValueError(f"formula {formula!r}: the score must be one column of numbers")
@@ -520,51 +447,33 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
             f"data: {bad.sum()} rows have a missing or infinite value, row {bad.idxmax()} first; "
             "leave them out"
         )
-    if np.linalg.matrix_rank(x) < x.shape[1]:
-        raise ValueError(
-            f"formula {formula!r}: its columns are linearly dependent; an effect is not estimable"
-        )
     terms = matrices.rhs.model_spec.term_indices
     terms = {str(term): columns for term, columns in terms.items() if str(term) != "1"}
+    if np.linalg.matrix_rank(x) < x.shape[1] or not all(terms.values()):
+        raise ValueError(
+            f"formula {formula!r}: an effect is not estimable, as it depends on others or has one "
+            "level"
+        )
     return score.to_numpy()[:, 0], x, terms
 
 
 def likelihood_ratios(
-    y: np.ndarray, x: np.ndarray, terms: dict, model: Any, draws: int, seed: int
+    terms: dict[str, list[int]],
+    columns: tuple[int, ...],
+    log_likelihood: Callable[[tuple[int, ...]], float],
 ) -> pd.DataFrame:
     """
     Return the test of every term against the model without it and the interactions that contain it,
-    asymptotic and by simulation; `model` has `fit` and `draw`.
+    by the greatest log-likelihood of models with some of the columns.
     """
-    draws = whole_number("bootstrap", draws, least=0, most=100_000)
-
-    def statistic(score: np.ndarray, full: np.ndarray, reduced: np.ndarray) -> float:
-        return max(2.0 * (model.fit(score, full).llf - model.fit(score, reduced).llf), 0.0)
-
     rows = []
-    for name, child in zip(terms, spawned(seed, len(terms)), strict=True):
-        factors = set(name.split(":"))
-        above = [terms[term] for term in terms if factors < set(term.split(":"))]
-        full = np.delete(x, [*chain(*above)], axis=1)
-        reduced = np.delete(x, [*chain(terms[name], *above)], axis=1)
-        chi2, df = statistic(y, full, reduced), len(terms[name])
-        p_bootstrap = np.nan
-        if draws:
-            null, rng = model.fit(y, reduced), np.random.default_rng(child)
-            drawn = (model.draw(null, reduced, rng) for _ in range(draws))
-            least = chi2 * (1.0 - TIE)
-            larger = sum(statistic(score, full, reduced) >= least for score in drawn)
-            p_bootstrap = (larger + 1.0) / (draws + 1.0)
-        rows.append((name, chi2, df, float(special.chdtrc(df, chi2)), p_bootstrap))
-    return pd.DataFrame(rows, columns=["term", "chi2", "df", "p_chi2", "p_bootstrap"])
-
-
-def estimates_of(estimate: np.ndarray, se: np.ndarray, df: float = np.inf) -> pd.DataFrame:
-    """Return estimates with tests and 95 % intervals, by t or (by default) by the normal."""
-    half = stats.t.ppf(0.975, df) * se
-    columns = {"estimate": estimate, "se": se, "z" if np.isinf(df) else "t": estimate / se}
-    columns |= {"p": 2.0 * stats.t.sf(np.abs(estimate / se), df)}
-    return pd.DataFrame(columns | {"ci_low": estimate - half, "ci_high": estimate + half})
+    for name, own in terms.items():
+        above = [terms[term] for term in terms if {*name.split(":")} < {*term.split(":")}]
+        full = tuple(column for column in columns if column not in chain(*above))
+        reduced = tuple(column for column in full if column not in own)
+        chi2 = max(2.0 * (log_likelihood(full) - log_likelihood(reduced)), 0.0)
+        rows.append((name, chi2, len(own), float(special.chdtrc(len(own), chi2))))
+    return pd.DataFrame(rows, columns=["term", "chi2", "df", "p_chi2"])
 
 
 def variances_of(**variances: float) -> pd.DataFrame:

@@ -8,17 +8,15 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.studies.mixed import estimates_of
-from trustlab.studies.pairs import holm
+from trustlab.studies.pairs import estimates_of, holm
 from trustlab.studies.table import (
     ScoreTable,
     Tested,
     column_of,
+    complete_scores,
     labelled,
     levels_of,
     read_scores,
-    refuse_missing_labels,
-    refuse_two_labels,
 )
 
 
@@ -81,7 +79,6 @@ def order_effects(
     dv: Hashable,
     condition: Hashable,
     position: Hashable,
-    sequence: Hashable | None = None,
     subject: Hashable = "subject",
     *,
     order: Sequence | None = None,
@@ -98,8 +95,6 @@ def order_effects(
         A row per subject and position.
     dv, condition, position, subject : hashable
         Columns with the score, the condition, the position (1, 2 …) and the subject.
-    sequence : hashable, optional
-        Column with the name of the subject's order; by default it is read from the order itself.
     order : sequence, optional
         The order of the conditions.
 
@@ -131,12 +126,7 @@ def order_effects(
     3                    carry_over    4   28
     4  condition_without_carry_over    4   32
     """
-    scores = read_scores(frame, dv, position, subject)
-    if np.isnan(scores.values).any():
-        i, j = np.argwhere(np.isnan(scores.values))[0]
-        raise ValueError(
-            f"dv: subject {scores.subjects[i]!r} has no score at position {scores.conditions[j]!r}"
-        )
+    scores = complete_scores(read_scores(frame, dv, position, subject))[0]
     n, k = scores.values.shape
     if list(scores.conditions) != list(range(1, k + 1)):
         raise ValueError(
@@ -144,30 +134,24 @@ def order_effects(
         )
     labels = levels_of(column_of(frame, "condition", condition), "condition", order)
     rows = frame.set_index([subject, position]).loc[[*product(scores.subjects, scores.conditions)]]
-    codes = rows[condition].map(labels.index).to_numpy().reshape(n, k)
+    codes = rows[condition].map(labels.index).to_numpy(int).reshape(n, k)
     sequences = pd.Series([*codes.astype(str)]).map(" ".join)
-    if sequence is not None:
-        refuse_missing_labels(column_of(frame, "sequence", sequence), "sequence")
-        refuse_two_labels("sequence", frame[sequence], frame[subject])
-        sequences = rows[sequence].iloc[::k]
     y = (scores.values - scores.values.mean()).ravel()
     full = _within_subjects(codes, len(labels))
     error, df = _residual(y, full)
     if error <= y.size * (4.0 * np.finfo(float).eps * np.abs(scores.values).max()) ** 2:
-        raise ValueError(
-            f"dv: {y.size} scores leave no error variance beside subjects, positions, conditions "
-            "and carry-over"
-        )
+        raise ValueError(f"dv: {y.size} scores leave no error variance beside all effects")
     between = {"mean": np.ones((n, 1)), "sequence": pd.get_dummies(sequences).to_numpy(float)}
-    tests = [_test("sequence", y.reshape(n, k).sum(axis=1) / np.sqrt(k), between)]
     direct = {name: x for name, x in full.items() if name != "carry_over"}
-    tests += [_test(name, y, full) for name in ("position", "condition", "carry_over")]
-    tests.append(("condition_without_carry_over", *_test("condition", y, direct)[1:]))
+    tests = [
+        _test("sequence", y.reshape(n, k).sum(axis=1) / np.sqrt(k), between),
+        *(_test(name, y, full) for name in ("position", "condition", "carry_over")),
+        ("condition_without_carry_over", *_test("condition", y, direct)[1:]),
+    ]
     table = pd.DataFrame(tests, columns=["effect", "ss", "df1", "df2", "F", "p", "note"])
     separable = y.size - df == n + k - 1 + 2 * (len(labels) - 1)
     pairs = _differences(y, full if separable else direct, labels)
-    origin = scores.origin
-    return OrderEffects(scores, labelled(table, origin), labelled(pairs, origin))
+    return OrderEffects(scores, labelled(table, scores.origin), labelled(pairs, scores.origin))
 
 
 def _within_subjects(codes: np.ndarray, count: int) -> dict[str, np.ndarray]:

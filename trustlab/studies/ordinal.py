@@ -7,7 +7,8 @@ over v are taken by adaptive Gauss–Hermite quadrature (Pinheiro and Bates, 199
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cache
+from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,12 +18,11 @@ from scipy.optimize import minimize
 
 from trustlab.models.checks import finite_array, of_class, whole_number
 from trustlab.studies.mixed import (
-    estimates_of,
     likelihood_ratios,
     matrices_of,
     variances_of,
 )
-from trustlab.studies.pairs import holm
+from trustlab.studies.pairs import estimates_of, holm
 from trustlab.studies.table import (
     Tested,
     column_of,
@@ -39,167 +39,121 @@ MOST_CATEGORIES = 30
 FAR = 15.0
 # SD below which people do not vary.
 SINGULAR = 1e-3
-STEP = 1e-4  # of differences
-LEAST = 1e-6  # of the difference between thresholds
+STEP = 1e-3  # of differences
 
 
 class CumulativeFit(NamedTuple):
     """
-    Maximum of the likelihood: coefficients, thresholds, effects on each threshold (a row per
-    threshold), SD of people, and the covariance of coefficients and thresholds.
+    Maximum of the likelihood: coefficients, thresholds, SD of people, and the covariance of
+    coefficients and thresholds.
     """
 
-    llf: float
     beta: np.ndarray
     thresholds: np.ndarray
-    nominal: np.ndarray
     sd: float
     covariance: np.ndarray
 
 
 class Cumulative:
     """
-    Answers in ordered categories; a model is fitted to them or draws them.
+    The likelihood of answers in ordered categories.
 
     Parameters
     ----------
-    codes : numpy.ndarray
-        Person of each row.
-    categories : int
-        How many there are.
+    category, people : numpy.ndarray of int
+        Category and person of each row.
     points : int
         Nodes of the quadrature.
     """
 
-    def __init__(self, codes: np.ndarray, categories: int, points: int):
-        self.codes = codes
-        self.cuts = categories - 1
+    def __init__(self, category: np.ndarray, people: np.ndarray, points: int):
+        self.category, self.people = category, people
         # Times rows, the sums over each person's.
-        self.member = sparse.csr_array((np.ones(codes.size), (codes, np.arange(codes.size))))
+        self.sums = sparse.csr_array((np.ones(people.size), (people, np.arange(people.size))))
         self.nodes, mass = np.polynomial.hermite_e.hermegauss(points)
         self.log_mass = np.log(mass / mass.sum()) + 0.5 * self.nodes**2
 
-    def fit(
-        self,
-        category: np.ndarray,
-        x: np.ndarray,
-        *,
-        nominal: np.ndarray | None = None,
-        covariance: bool = False,
-    ) -> CumulativeFit:
-        """
-        Return the maximum of the likelihood; with `covariance`, to the last digits and with the
-        inverse of the observed information. `nominal` regressors have an effect on every threshold.
-        """
-        category, count = category.astype(int), len(x)
-        cut = np.pad(np.eye(self.cuts), ((1, 1), (0, 0)))
-        ends = np.array([cut[category], cut[category + 1]])  # lower and upper bound of each row
-        effects = np.zeros((count, 0)) if nominal is None else nominal
-        wide = (ends[..., None] * effects[:, None]).reshape(2, count, -1)
-        finite = ends.sum(axis=2)
-        design = np.concatenate([-x * finite[..., None], ends, -wide], axis=2)
-        infinite = np.where(finite == 1.0, 0.0, [[-np.inf], [np.inf]])
-        # The search is along uncorrelated directions of equal size.
-        directions, size, rows = np.linalg.svd(np.concatenate(design), full_matrices=False)
-        directions, rows = directions[:, size > 1e-12 * size[0]], rows[size > 1e-12 * size[0]]
-        size = size[: len(rows)] / np.sqrt(count)
-        turned = np.sqrt(count) * directions.reshape(2, count, -1)
-        turn = rows.T / size
-
-        def loss(point: np.ndarray) -> tuple[float, np.ndarray]:
-            bounds = turned @ point[:-1] + infinite
-            value, by_bound, by_sd = self._integrals(bounds, point[-1])
-            return -value, -np.append(np.tensordot(by_bound, turned), by_sd)
-
-        below = np.cumsum(np.bincount(category, minlength=self.cuts + 1))[:-1] / count
-        start = np.zeros(design.shape[2])
-        start[x.shape[1] :][: self.cuts] = special.logit(np.clip(below, 1e-3, 1.0 - 1e-3))
-        start = np.append(size * (rows @ start), 0.7)
-        point = minimize(loss, start, jac=True, method="BFGS", options={"gtol": 1e-6}).x
-        spread = np.zeros((0, 0))
-        if covariance:
-            # People who do not vary are at the boundary, which carries no information on the rest.
-            free = point.size - (abs(point[-1]) < SINGULAR)
-            steps = STEP * np.eye(point.size)[:free]
-            ahead, behind = (
-                np.array([loss(point + sign * step)[1][:free] for step in steps])
-                for sign in (1.0, -1.0)
-            )
-            inverse = np.linalg.inv((ahead - behind) / (2.0 * STEP))
-            point[:free] -= inverse @ loss(point)[1][:free]
-            spread = turn @ inverse[: size.size, : size.size] @ turn.T
-        places = [x.shape[1], x.shape[1] + self.cuts]
-        beta, thresholds, nominal = np.split(turn @ point[:-1], places)
-        value, sd = float(-loss(point)[0]), float(abs(point[-1]))
-        nominal = nominal.reshape(self.cuts, -1)
-        return CumulativeFit(value, beta, thresholds, nominal, sd, spread)
-
-    def _integrals(self, bounds: np.ndarray, sd: float) -> tuple[float, np.ndarray, float]:
-        """
-        Return the log-likelihood and its slopes by the bounds of every row's category, θ − x β,
-        lower and upper, and by the standard deviation of people.
-        """
-        mode, level = self._modes(bounds, sd)
-        density = level * (1.0 - level)
-        bend = density * (1.0 - 2.0 * level)
-        second = self.member @ density.sum(axis=0)
-        third = self.member @ bend.sum(axis=0)
-        width = 1.0 / np.sqrt(1.0 + sd**2 * second)
-
-        v = mode[:, None] + width[:, None] * self.nodes
-        logit = bounds[:, :, None] - sd * v[self.codes]
+    def log_likelihood(self, effects: np.ndarray, thresholds: np.ndarray, sd: float) -> float:
+        """Return the log-likelihood of effects x β of every row."""
+        ends = np.concatenate([[-np.inf], thresholds, [np.inf]])
+        bounds = ends[[self.category, self.category + 1]] - effects
+        mode, information = self._modes(bounds, sd)
+        v = mode[:, None] + self.nodes / np.sqrt(information)[:, None]
+        low, high = bounds[:, :, None] - sd * v[self.people]
         # F(b) − F(a) = F(b) (1 − F(a)) (1 − e^(a − b)), without cancellation.
-        gap = bounds[1] - bounds[0]
-        rate = 1.0 / np.expm1(np.maximum(gap, LEAST))
-        chance = special.log_expit(logit[1]) + special.log_expit(-logit[0])
-        # Beyond a least gap it goes on in a straight line, so that a search finds its way back.
-        chance += np.log1p(-np.exp(-np.maximum(gap, LEAST)))[:, None]
-        chance += (rate * np.minimum(gap - LEAST, 0.0))[:, None]
-        logs = self.member @ chance - 0.5 * v**2 + self.log_mass
-        total = special.logsumexp(logs, axis=1)
-        share = np.exp(logs - total[:, None])
-        level_at = special.expit(logit)
-        pull = self.member @ (level_at.sum(axis=0) - 1.0)
-        by_bound = -(share[self.codes] * level_at).sum(axis=2)
-        by_bound += np.array([[0.0], [1.0]]) + np.array([[-1.0], [1.0]]) * rate
-        by_sd = (share * v * pull).sum()
-
-        # Nodes move with bounds and sd; the more of them there are, the less it matters.
-        slope = sd * pull - v
-        by_width = 0.5 * width**3 * ((share * slope * self.nodes).sum(axis=1) + 1.0 / width)
-        by_mode = width**2 * ((share * slope).sum(axis=1) + by_width * sd**3 * third)
-        by_bound += sd * by_mode[self.codes] * density - sd**2 * by_width[self.codes] * bend
-        first = self.member @ (level.sum(axis=0) - 1.0)
-        by_sd += (by_mode * (first - sd * mode * second)).sum()
-        by_sd += (by_width * (sd**2 * mode * third - 2.0 * sd * second)).sum()
-        return (total + np.log(width)).sum(), by_bound, by_sd
+        chance = special.log_expit(high) + special.log_expit(-low)
+        chance += np.log1p(-np.exp(bounds[0] - bounds[1]))[:, None]
+        logs = self.sums @ chance - 0.5 * v**2 + self.log_mass
+        return float((special.logsumexp(logs, axis=1) - 0.5 * np.log(information)).sum())
 
     def _modes(self, bounds: np.ndarray, sd: float) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return where each person's integrand, which is log-concave, is greatest, and the
-        probabilities up to each bound there.
+        Return where each person's integrand, which is log-concave, is greatest, and how sharply it
+        is bent there.
         """
-        high = abs(sd) * self.member.sum(axis=1)
-        low = -high
-        mode = np.zeros(high.size)
+        high = abs(sd) * self.sums.sum(axis=1)
+        low, mode = -high, np.zeros(high.size)
         while True:
-            level = special.expit(bounds - sd * mode[self.codes])
-            slope = sd * (self.member @ (level.sum(axis=0) - 1.0)) - mode
-            step = slope / (1.0 + sd**2 * (self.member @ (level * (1.0 - level)).sum(axis=0)))
-            going = np.abs(step) > 1e-12 * (1.0 + np.abs(mode))
-            if not going.any():
-                return mode, level
+            level = special.expit(bounds - sd * mode[self.people])
+            slope = sd * (self.sums @ (level.sum(axis=0) - 1.0)) - mode
+            information = 1.0 + sd**2 * (self.sums @ (level * (1.0 - level)).sum(axis=0))
+            newton = mode + slope / information
             low, high = np.where(slope > 0.0, mode, low), np.where(slope > 0.0, high, mode)
+            going = np.minimum(np.abs(newton - mode), high - low) > 1e-12 * (1.0 + np.abs(mode))
+            if not going.any():
+                return mode, information
             # Newton's steps can go round in circles, which end where the bracket is halved.
-            newton = mode + step
             inside = (low < newton) & (newton < high)
             mode = np.where(going, np.where(inside, newton, 0.5 * (low + high)), mode)
 
-    def draw(self, fit: CumulativeFit, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return categories drawn from a fitted model."""
-        people = fit.sd * rng.standard_normal(self.member.shape[0])
-        answers = x @ fit.beta + people[self.codes] + special.logit(rng.random(self.codes.size))
-        return (answers[:, None] > fit.thresholds).sum(axis=1)
+    def loss(self, point: np.ndarray, z: np.ndarray) -> float:
+        """Return minus the log-likelihood at coefficients, thresholds, and the SD of people."""
+        beta, thresholds = np.split(point[:-1], [z.shape[1]])
+        return -self.log_likelihood(z @ beta, thresholds, point[-1])
+
+    def maximum(self, z: np.ndarray) -> np.ndarray:
+        """Return the point of the greatest likelihood, given regressors of mean 0 and SD 1."""
+        count = z.shape[1]
+
+        def ordered(free: np.ndarray) -> np.ndarray:
+            # The search goes by logarithms of the distances between thresholds.
+            gaps = np.exp(np.minimum(free[count + 1 : -1], 2.0 * FAR))
+            return np.concatenate([free[: count + 1], free[count] + np.cumsum(gaps), free[-1:]])
+
+        thresholds = special.logit(np.cumsum(np.bincount(self.category))[:-1] / len(z))
+        start = [*np.zeros(count), thresholds[0], *np.log(np.diff(thresholds)), 0.7]
+        search = {"method": "BFGS", "jac": "3-point", "options": {"gtol": 1e-6}}
+        point = ordered(minimize(lambda free: self.loss(ordered(free), z), start, **search).x)
+        beta, rest = np.split(point, [count])
+        if max(np.abs(z @ beta).max(), np.abs(rest).max()) > FAR:
+            raise ValueError(
+                "dv: the likelihood has no maximum: some effect separates low from high ratings, "
+                "or people hardly vary; leave the effect or the people out"
+            )
+        return point
+
+    def fit(self, x: np.ndarray, point: np.ndarray) -> CumulativeFit:
+        """
+        Return a maximum in units of the regressors, with the inverse of the observed information.
+        """
+        count, scale = x.shape[1], x.std(axis=0)
+        beta, thresholds = np.split(point[:-1], [count])
+        beta = beta / scale
+        point = np.concatenate([beta, thresholds + x.mean(axis=0) @ beta, np.abs(point[-1:])])
+        sizes = STEP / np.concatenate([scale, np.ones(point.size - count)])
+        # People who do not vary are at the boundary, which carries no information on the rest.
+        steps = np.diag(sizes)[: point.size - (point[-1] < SINGULAR)]
+
+        def bend(a: np.ndarray, b: np.ndarray) -> float:
+            signs = product((-1.0, 1.0), repeat=2)
+            return sum(s * t * self.loss(point + s * a + t * b, x) for s, t in signs)
+
+        information = np.array(
+            [[bend(a, b) / (4.0 * a.sum() * b.sum()) for b in steps] for a in steps]
+        )
+        size = point.size - 1
+        covariance = np.linalg.inv(information)[:size, :size]
+        return CumulativeFit(beta, point[count:-1], float(point[-1]), covariance)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -215,14 +169,14 @@ class OrdinalModel(Tested):
         Values of the ratings, ascending.
     tests : pandas.DataFrame
         What `table` returns.
-    model, fit : Cumulative, CumulativeFit
-        The likelihood, and its maximum.
-    answers : numpy.ndarray
-        Number of every rating's category.
-    regressors : pandas.DataFrame
-        A row per rating.
-    terms : dict
-        Numbers of the columns of every term.
+    n, observations : int
+        People and ratings.
+    fit : CumulativeFit
+        Where the likelihood is greatest.
+    log_likelihood : float
+        Its maximum.
+    names : list of str
+        Names of the coefficients.
     cells : pandas.DataFrame
         Regressors of every cell of the factors, covariates at their means.
     origin : str
@@ -232,11 +186,11 @@ class OrdinalModel(Tested):
     dv: Hashable
     categories: tuple
     tests: pd.DataFrame
-    model: Cumulative
+    n: int
+    observations: int
     fit: CumulativeFit
-    answers: np.ndarray
-    regressors: pd.DataFrame
-    terms: dict[str, list[int]]
+    log_likelihood: float
+    names: list[str]
     cells: pd.DataFrame
     origin: str
 
@@ -246,16 +200,6 @@ class OrdinalModel(Tested):
         return f"Cumulative-link mixed model of {self.dv}"
 
     @property
-    def n(self) -> int:
-        """How many people rated."""
-        return self.model.member.shape[0]
-
-    @property
-    def log_likelihood(self) -> float:
-        """Maximum of the likelihood."""
-        return self.fit.llf
-
-    @property
     def singular(self) -> bool:
         """Whether the variance of people is estimated as zero."""
         return self.fit.sd < SINGULAR
@@ -263,31 +207,24 @@ class OrdinalModel(Tested):
     def table(self) -> pd.DataFrame:
         """
         Return the likelihood-ratio test of every term against the model without the term and the
-        interactions that contain it: term, chi2, df, p_chi2, p_bootstrap.
+        interactions that contain it: term, chi2, df, p_chi2 (asymptotic: too small with few
+        people).
         """
         return super().table()
 
-    def _estimates(self) -> pd.DataFrame:
-        """Return coefficients and thresholds."""
+    def coefficients_table(self) -> pd.DataFrame:
+        """
+        Return fixed effects and, below them, thresholds between categories, in logits: name
+        estimate se z p ci_low ci_high (95 %, normal).
+
+        A positive effect raises ratings; exp(estimate) multiplies one person's odds of rating above
+        any category.
+        """
         point = np.concatenate([self.fit.beta, self.fit.thresholds])
         names = [f"{low} | {high}" for low, high in pairwise(self.categories)]
         table = estimates_of(point, np.sqrt(np.diag(self.fit.covariance)))
-        table.insert(0, "name", [*self.regressors, *names])
+        table.insert(0, "name", [*self.names, *names])
         return labelled(table, self.origin)
-
-    def coefficients_table(self) -> pd.DataFrame:
-        """
-        Return the fixed effects in logits: name estimate se z p ci_low ci_high (95 %, normal).
-
-        A positive one raises ratings; exp(estimate) multiplies one person's odds of rating above
-        any category.
-        """
-        return self._estimates()[: self.fit.beta.size]
-
-    def thresholds_table(self) -> pd.DataFrame:
-        """Return the thresholds between categories in logits: name estimate se ci_low ci_high."""
-        table = self._estimates()[self.fit.beta.size :].drop(columns=["z", "p"])
-        return table.reset_index(drop=True)
 
     def random_effects(self) -> pd.DataFrame:
         """Return variance and standard deviation of people's intercepts, in logits."""
@@ -301,36 +238,28 @@ class OrdinalModel(Tested):
         -------
         pandas.DataFrame
             Columns of the factors, category, probability, ci_low and ci_high (95 %, delta method on
-            logits, taking the variance between people as estimated), at_least (probability of this
-            rating or a higher one). Covariates are at their means.
+            logits, taking the variance between people as estimated). Covariates are at their means.
         """
-        fit, cells = self.fit, self.cells
+        fit, x = self.fit, self.cells.to_numpy()
         nodes, mass = np.polynomial.hermite_e.hermegauss(60)
 
-        def at_most(parameters: np.ndarray) -> np.ndarray:
-            beta, thresholds = np.split(parameters, [fit.beta.size])
-            logit = thresholds[:, None] - (cells.to_numpy() @ beta)[:, None, None] - fit.sd * nodes
-            return special.expit(logit) @ (mass / mass.sum())
-
         def logits(parameters: np.ndarray) -> np.ndarray:
-            chance = np.diff(at_most(parameters), axis=1, prepend=0.0, append=1.0)
-            return special.logit(chance).ravel()
+            beta, thresholds = np.split(parameters, [fit.beta.size])
+            logit = thresholds[:, None] - (x @ beta)[:, None, None] - fit.sd * nodes
+            below = special.expit(logit) @ (mass / mass.sum())
+            return special.logit(np.diff(below, axis=1, prepend=0.0, append=1.0)).ravel()
 
         point = np.concatenate([fit.beta, fit.thresholds])
         steps = STEP * np.eye(point.size)
-        slope = np.array([logits(point + row) - logits(point - row) for row in steps])
+        slope = np.array([logits(point + step) - logits(point - step) for step in steps])
         slope /= 2.0 * STEP
         half = special.ndtri(0.975) * np.sqrt(((fit.covariance @ slope) * slope).sum(axis=0))
         centre = logits(point)
-        table = cells.index.to_frame(index=False)
-        table = table.loc[table.index.repeat(len(self.categories))].reset_index(drop=True)
-        table = table.assign(
-            category=[*self.categories] * len(cells),
-            probability=special.expit(centre),
-            ci_low=special.expit(centre - half),
-            ci_high=special.expit(centre + half),
-            at_least=1.0 - np.pad(at_most(point), ((0, 0), (1, 0))).ravel(),
+        table = self.cells.index.to_frame(index=False).merge(
+            pd.Series(self.categories, name="category"), how="cross"
         )
+        for name, logit in {"probability": 0.0, "ci_low": -half, "ci_high": half}.items():
+            table[name] = special.expit(centre + logit)
         return labelled(table, self.origin)
 
     def pairs(self) -> pd.DataFrame:
@@ -361,31 +290,6 @@ class OrdinalModel(Tested):
         )
         return labelled(table, self.origin)
 
-    def proportional_odds(self) -> pd.DataFrame:
-        """
-        Return the check of proportional odds, whether a term moves every threshold alike.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns term, chi2, df, p (likelihood ratio against an effect of the term on each
-            threshold; a small p says that one odds ratio does not describe it) and note. NaN where
-            some category is empty in a cell.
-        """
-        x, rows = self.regressors.to_numpy(), []
-        for name, columns in self.terms.items():
-            df = len(columns) * (self.model.cuts - 1)
-            chi2, note = np.nan, "two categories have one threshold"
-            if df:
-                rest, own = np.delete(x, columns, axis=1), x[:, columns]
-                wide = self.model.fit(self.answers, rest, nominal=own)
-                chi2, note = max(2.0 * (wide.llf - self.fit.llf), 0.0), ""
-                if np.abs(wide.nominal * np.ptp(own, axis=0)).max() > FAR:
-                    chi2, note = np.nan, "some category is empty in a cell"
-            rows.append((name, chi2, df, float(special.chdtrc(df, chi2)), note))
-        table = pd.DataFrame(rows, columns=["term", "chi2", "df", "p", "note"])
-        return labelled(table, self.origin)
-
     def apa(self) -> str:
         """Return the sentences for a paper: the test of every term, and pairs that differ."""
         tests = [
@@ -401,7 +305,7 @@ class OrdinalModel(Tested):
         kind = "logistic" if len(self.categories) == 2 else "cumulative-link"
         return (
             f"{mark(self.origin)}A {kind} mixed model of {self.dv} with random intercepts "
-            f"({self.n} people, {self.answers.size} ratings) was tested by likelihood ratios: "
+            f"({self.n} people, {self.observations} ratings) was tested by likelihood ratios: "
             f"{'; '.join(tests)}. "
             f"Pairs that differ: {'; '.join(pairs) or 'none'}."
         )
@@ -417,8 +321,6 @@ def ordinal_model(
     covariates: Sequence[Hashable] = (),
     order: Any = None,
     points: int = 15,
-    bootstrap: int = 0,
-    seed: int = 0,
 ) -> OrdinalModel:
     """
     Fit ratings on ordered categories, such as trust from 1 to 7, without taking steps for equal.
@@ -441,8 +343,6 @@ def ordinal_model(
         reference.
     points : int
         Nodes of the adaptive Gauss–Hermite quadrature; 1 is Laplace's approximation.
-    bootstrap, seed : int
-        As of `formula_model`.
 
     Returns
     -------
@@ -480,29 +380,36 @@ def ordinal_model(
         data[name] = pd.Categorical(data[name], levels)
     for name in covariates:
         finite_array("covariates", column_of(data, "covariates", name))
-    product = " * ".join(f"`{name}`" for name in factors)
-    formula = " + ".join([f"answer ~ {product}", *(f"`{name}`" for name in covariates)])
-    y, regressors, terms = matrices_of(formula, data.assign(answer=answers))
+    crossed = " * ".join(f"`{name}`" for name in factors)
+    formula = " + ".join([f"answer ~ {crossed}", *(f"`{name}`" for name in covariates)])
+    _, regressors, terms = matrices_of(formula, data.assign(answer=answers))
     # Thresholds take the place of the intercept.
     regressors = regressors.drop(columns="Intercept")
     terms = {name: [column - 1 for column in columns] for name, columns in terms.items()}
-    x = regressors.to_numpy()
-    model = Cumulative(codes, len(categories), whole_number("points", points, most=100))
-    fit = model.fit(y, x, covariance=True)
-    effects = (x - x.mean(axis=0)) @ fit.beta
-    thresholds = fit.thresholds - x.mean(axis=0) @ fit.beta
-    if max(np.abs(effects).max(), np.abs(thresholds).max(), fit.sd) > FAR:
-        raise ValueError(
-            "dv: the likelihood has no maximum: some effect separates low from high ratings, or "
-            "people hardly vary; leave the effect or the people out"
-        )
+    columns, x = tuple(range(regressors.shape[1])), regressors.to_numpy()
+    z = (x - x.mean(axis=0)) / x.std(axis=0)
+    model = Cumulative(answers, codes, whole_number("points", points, most=100))
+    maximum = cache(lambda kept: model.maximum(z[:, kept]))
+
+    def log_likelihood(kept: tuple[int, ...]) -> float:
+        return -model.loss(maximum(kept), z[:, kept])
+
+    tests = likelihood_ratios(terms, columns, log_likelihood)
     cells = regressors.groupby([data[name] for name in factors], observed=True).mean()
     for name in covariates:
         cells.iloc[:, terms[name]] = x[:, terms[name]].mean(axis=0)
     origin = origin_of(frame)
-    tests = labelled(likelihood_ratios(y, x, terms, model, bootstrap, seed), origin)
     return OrdinalModel(
-        dv, tuple(categories), tests, model, fit, y, regressors, terms, cells, origin
+        dv=dv,
+        categories=tuple(categories),
+        tests=labelled(tests, origin),
+        n=len(people),
+        observations=answers.size,
+        fit=model.fit(x, maximum(columns)),
+        log_likelihood=log_likelihood(columns),
+        names=[*regressors],
+        cells=cells,
+        origin=origin,
     )
 
 

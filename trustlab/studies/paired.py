@@ -8,15 +8,10 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import one_of, open_unit, positive
-from trustlab.studies.pairs import (
-    Wilcoxon,
-    condition_pairs,
-    holm,
-    normality_of_differences,
-    wilcoxon,
-)
+from trustlab.studies.pairs import differences, holm, normality_of_differences, rank_pairs
 from trustlab.studies.repeated_measures import describe, repeated_measures
-from trustlab.studies.table import ScoreTable, Tested, labelled, same_for_all
+from trustlab.studies.table import ScoreTable, Tested, labelled
+from trustlab.studies.words import apa_pair
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,9 +27,8 @@ class PairedTTest(Tested):
     standard deviations; correlation of a and b, NaN if one of them is constant; wilcoxon_v (sum of
     the ranks of positive differences, zero differences left out), wilcoxon_p (two-sided),
     wilcoxon_method ("exact" below 50 subjects without ties or zero differences, else "normal
-    approximation, continuity corrected"; and whether ties were judged to twelve digits, where
-    floating point separates them) and rank_biserial ((positive − negative rank sum) over their
-    total); shapiro_w and shapiro_p, Shapiro and Wilk's test of the differences.
+    approximation, continuity corrected") and rank_biserial ((positive − negative rank sum) over
+    their total); shapiro_w and shapiro_p, Shapiro and Wilk's test of the differences.
 
     Parameters
     ----------
@@ -53,24 +47,18 @@ class PairedTTest(Tested):
     scores: ScoreTable
 
     def descriptives(self) -> pd.DataFrame:
-        """
-        Return descriptive statistics as `RepeatedMeasures.descriptives`; intervals at `confidence`.
-        """
+        """Return descriptive statistics as `RepeatedMeasures.descriptives`."""
         labels = pd.Index(self.scores.conditions, tupleize_cols=False)
-        table = describe(self.scores.values, self.confidence)
-        table.insert(0, "condition", labels)
-        return table
+        return describe(self.scores.values).assign(condition=labels)
 
     def apa(self) -> str:
         """Return the sentence a paper needs."""
-        from trustlab.studies.words import apa_pair
-
         return apa_pair(self)
 
 
 COLUMNS = ["a", "b", "n", "mean_difference", "sd_difference", "ci_low", "ci_high", "confidence"]
-COLUMNS += ["t", "df", "p", "d_z", "d_z_low", "d_z_high", "d_av", "correlation"]
-COLUMNS += [*Wilcoxon._fields, "shapiro_w", "shapiro_p"]
+COLUMNS += ["t", "df", "p", "d_z", "d_z_low", "d_z_high", "d_av", "correlation", "wilcoxon_v"]
+COLUMNS += ["wilcoxon_p", "wilcoxon_method", "rank_biserial", "shapiro_w", "shapiro_p"]
 
 
 def paired_t_test(
@@ -132,17 +120,18 @@ def paired_t_test(
             "paired t-test compares two. Select their rows, or use repeated_measures"
         )
     a, b = scores.values.T
-    constant = bool(same_for_all(scores))
-    test = result.pairs(confidence=confidence).assign(
+    constant = a.std() * b.std() == 0.0
+    ranks = rank_pairs(scores.values)[["V", "p", "method", "rank_biserial"]]
+    names = {"V": "wilcoxon_v", "p": "wilcoxon_p", "method": "wilcoxon_method"}
+    test = result.pairs(confidence=confidence).join(ranks.rename(columns=names))
+    names = {"W": "shapiro_w", "p": "shapiro_p"}
+    test = test.join(normality_of_differences(scores.values).rename(columns=names)).assign(
         n=result.n,
         sd_difference=(a - b).std(ddof=1),
         confidence=confidence,
         correlation=np.nan if constant else np.corrcoef(a, b)[0, 1],
-        **wilcoxon(a - b, np.abs(scores.values).max())._asdict(),
     )
-    names = {"W": "shapiro_w", "p": "shapiro_p"}
-    test = test.join(normality_of_differences(scores.values).rename(columns=names))[COLUMNS]
-    return PairedTTest(labelled(test, scores.origin), result.excluded, scores)
+    return PairedTTest(labelled(test[COLUMNS], scores.origin), result.excluded, scores)
 
 
 def equivalence(
@@ -152,7 +141,6 @@ def equivalence(
     subject: Hashable,
     *,
     bound: float,
-    units: str = "raw",
     order: Sequence | None = None,
     missing: str = "raise",
     alpha: float = 0.05,
@@ -167,10 +155,7 @@ def equivalence(
     dv, within, subject : hashable
         Columns with the score, the condition and the subject.
     bound : float
-        Smallest difference that would matter; positive.
-    units : {"raw", "d_z"}
-        Whether `bound` is in units of the score, or in standard deviations of the differences as
-        estimated from these data.
+        Smallest difference that would matter, in units of the score; positive.
     order : sequence, optional
         The order of the conditions.
     missing : {"raise", "listwise"}
@@ -182,10 +167,10 @@ def equivalence(
     Returns
     -------
     pandas.DataFrame
-        A row per pair: a, b, n, mean_difference (a − b), low, high (the bounds in units of the
-        score), t_low, p_low (against differences at or below `low`), t_high, p_high, df, p (the
-        greater of the two), p_holm, ci_low, ci_high (level 1 − 2 alpha; inside the bounds where p <
-        alpha), equivalent (p < alpha, unadjusted).
+        A row per pair: a, b, n, mean_difference (a − b), low, high (the bounds), t_low, p_low
+        (against differences at or below `low`), t_high, p_high, df, p (the greater of the two),
+        p_holm, ci_low, ci_high (level 1 − 2 alpha; inside the bounds where p < alpha), equivalent
+        (p < alpha, unadjusted).
 
     Raises
     ------
@@ -212,20 +197,17 @@ def equivalence(
     bound, alpha = positive("bound", bound), open_unit("alpha", alpha)
     if alpha >= 0.5:
         raise ValueError(f"alpha must be below 0.5, as the interval has 1 − 2 alpha, got {alpha}")
-    one_of("units", units, ("raw", "d_z"))
     result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
     pairs, n = result.pairs(confidence=1.0 - 2.0 * alpha), result.n
     mean = pairs["mean_difference"].to_numpy()
-    sd = condition_pairs(result.scores.values[None]).sd[0]
-    if np.isnan(sd).any():
-        a, b = pairs.loc[np.isnan(sd), ["a", "b"]].iloc[0]
+    error = differences(result.scores.values).std(axis=1, ddof=1) / np.sqrt(n)
+    if pairs["t"].isna().any():
+        a, b = pairs.loc[pairs["t"].isna(), ["a", "b"]].iloc[0]
         raise ValueError(f"dv: every subject has the same difference between {a!r} and {b!r}")
-    reach = bound if units == "raw" else bound * sd
-    error = sd / np.sqrt(n)
-    t_low, t_high = (mean + reach) / error, (mean - reach) / error
+    t_low, t_high = (mean + bound) / error, (mean - bound) / error
     p_low, p_high = special.stdtr(n - 1, -t_low), special.stdtr(n - 1, t_high)
     p = np.maximum(p_low, p_high)
-    tests = {"n": n, "mean_difference": mean, "low": -reach, "high": reach, "t_low": t_low}
+    tests = {"n": n, "mean_difference": mean, "low": -bound, "high": bound, "t_low": t_low}
     tests |= {"p_low": p_low, "t_high": t_high, "p_high": p_high, "df": n - 1, "p": p}
     tests |= {"p_holm": holm(p), "ci_low": pairs["ci_low"], "ci_high": pairs["ci_high"]}
     table = pairs[["a", "b"]].assign(**tests, equivalent=p < alpha)

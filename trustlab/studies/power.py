@@ -430,15 +430,14 @@ def claims_mask(claims: Sequence[tuple] | None, population: Conditions) -> np.nd
     """Return which pairs are claimed, over all pairs a < b; None without claims."""
     if claims is None:
         return None
-    pairs = [{*pair} for pair in combinations(population.labels, 2)]
-    claimed = [{*pair} if isinstance(pair, list | tuple) else pair for pair in claims]
-    for pair in claimed or [None]:
-        if pair not in pairs or claimed.count(pair) > 1:
-            raise ValueError(
-                f"claims must be different pairs (a, b) of {[*population.labels]}, got "
-                f"{shown(claims)}"
-            )
-    return np.array([pair in claimed for pair in pairs])
+    given = claims if isinstance(claims, list | tuple) else [claims]
+    claimed = [{*pair} for pair in given if isinstance(pair, list | tuple)]
+    mask = np.array([{*pair} in claimed for pair in combinations(population.labels, 2)])
+    if not 0 < len(given) == mask.sum():
+        raise ValueError(
+            f"claims must be different pairs (a, b) of {[*population.labels]}, got {shown(claims)}"
+        )
+    return mask
 
 
 def clopper_pearson(
@@ -711,12 +710,12 @@ def _tests_of(
     regression = regress(np.atleast_2d(population.mean)[groups][None], design)
     table = []
     for block, names in design.effects:
-        contrasts, rows = design.contrasts(names), design.rows(block)
+        contrasts, columns = design.contrasts(names), design.columns[block]
         d, variances = contrasts.shape[1], contrasts.T @ population.covariance @ contrasts
-        squares = float(regression.sum_of_squares(contrasts, rows)[0])
+        squares = float(regression.sum_of_squares(contrasts, columns)[0])
         strength = squares * d / np.trace(variances)
         epsilon = float(sphericity(variances, design.df_error)["epsilon_gg"])
-        closed = exceeds_critical(d * len(rows), d * design.df_error, strength, simulation.alpha)
+        closed = exceeds_critical(d * len(columns), d * design.df_error, strength, simulation.alpha)
         effect = effect_name(block, names)
         where = {
             "n": n,

@@ -12,10 +12,8 @@ from trustlab.models.checks import (
     flag,
     in_order,
     of_class,
-    one_of,
     open_unit,
     positive,
-    shown,
     whole_number,
 )
 from trustlab.models.display import Result
@@ -24,7 +22,7 @@ from trustlab.studies.table import (
     column_of,
     labelled,
     labels_of,
-    number_or_nan,
+    numbers_of,
     origin_of,
     refuse_missing_labels,
 )
@@ -95,8 +93,8 @@ class Questionnaire(Result):
         of_class("subscales", self.subscales, dict)
         items = labels_of("items", self.items, 1)
         for name, part in self._parts.items():
-            for item in labels_of(name, part, 0 if name == "reversed" else 1):
-                one_of(name, item, map(str, items))
+            if unknown := {*labels_of(name, part, 0)} - {*items}:
+                raise ValueError(f"{name}: {unknown.pop()!r} is none of the items {items}")
         low, high = in_order("low", self.low, "high", self.high)
         steps = 1.0 if self.step is None else (high - low) / positive("step", self.step)
         if steps < 1.0 or abs(steps - round(steps)) > 1e-9:
@@ -213,14 +211,11 @@ class ScaleScores(Result):
         A row per subject and condition: the columns that name them, then a column per score.
     coded : dict of str to pandas.DataFrame
         For each score that is a mean its items, rescaled and reversed as they count in it.
-    missing : pandas.DataFrame
-        Answers that were missing: the columns that name subject and condition, then item.
     """
 
     questionnaire: Questionnaire
     scores: pd.DataFrame
     coded: Mapping[str, pd.DataFrame]
-    missing: pd.DataFrame
 
     @property
     def title(self) -> str:
@@ -229,8 +224,8 @@ class ScaleScores(Result):
 
     @property
     def message(self) -> str:
-        """How many forms were scored, and how many answers were missing."""
-        return f"forms scored: {len(self.scores)}; answers missing: {len(self.missing)}"
+        """How many forms were scored."""
+        return f"forms scored: {len(self.scores)}"
 
     def table(self) -> pd.DataFrame:
         """Return the scores."""
@@ -252,14 +247,13 @@ class ScaleScores(Result):
         -------
         pandas.DataFrame
             Columns score, condition (NaN where there is none), n, items, alpha, ci_low, ci_high.
-            Subjects with missing answers do not count in n; alpha is NaN for fewer than three
-            subjects, or where all have the same score.
+            Alpha is NaN for fewer than three subjects, or where all have the same score.
         """
         confidence, rows = open_unit("confidence", confidence), []
         for name, coded in self.coded.items():
             condition = coded.index.to_frame().get("condition", pd.Series(np.nan, coded.index))
             for label, group in coded.groupby(condition, sort=False, dropna=False):
-                alpha = _alpha(group.dropna(), confidence)
+                alpha = _alpha(group, confidence)
                 rows.append({"score": name, "condition": label} | alpha)
         return pd.DataFrame(rows).query("items > 1").reset_index(drop=True)
 
@@ -271,7 +265,6 @@ def score(
     subject: str = "subject",
     condition: str | None = None,
     weights: pd.DataFrame | None = None,
-    missing: str = "refuse",
 ) -> ScaleScores:
     """
     Score the answers to a questionnaire.
@@ -292,9 +285,6 @@ def score(
         Columns that say whose answers these are and under which condition; `condition` may be None.
     weights : pandas.DataFrame, optional
         Of a task load index: a weight per item, one row per subject, as `tlx_weights` gives them.
-    missing : {"refuse", "half_rule"}
-        Whether a missing answer is an error; or scores are formed where at least half of their
-        items are answered: means of these, sums prorated.
 
     Returns
     -------
@@ -303,8 +293,8 @@ def score(
     Raises
     ------
     ValueError
-        Naming subject, condition and item of an answer that is missing, not a number or not on the
-        scale, or whose weights cannot come from pairwise choices.
+        Naming the item, and its row or subject, of an answer that is missing, not a number or not
+        on the scale, or whose weights cannot come from pairwise choices.
 
     References
     ----------
@@ -323,87 +313,62 @@ def score(
     """
     of_class("questionnaire", questionnaire, Questionnaire)
     table = _read("answers", answers, questionnaire.items, subject, condition)
-    _check_answers(table, questionnaire)
+    low, high, step = questionnaire.low, questionnaire.high, questionnaire.step
+    off = (table < low) | (table > high)
+    if step is not None:
+        off |= ((table - low) / step % 1.0).sub(0.5).abs() < 0.5 - 1e-9
+    for i, j in np.argwhere(off.to_numpy()):
+        raise ValueError(
+            f"answers: {table.columns[j]} of {table.index[i]} is {table.iloc[i, j]:g}, not on the "
+            f"scale from {low:g} to {high:g} in steps of {step}; if the form had another scale, "
+            "score by dataclasses.replace(questionnaire, low=…, high=…, step=…)"
+        )
     coded = _coded(questionnaire, table)
-    _check_missing(coded, missing)
     scores = {score_name: part.mean(axis=1) for score_name, part in coded.items()}
     name, whole = questionnaire.name, next(iter(coded.values()))
     if not questionnaire.task_load:
-        scores[f"{name}_sum"] = whole.mean(axis=1) * whole.shape[1]
+        scores[f"{name}_sum"] = whole.sum(axis=1)
         if weights is not None:
             raise ValueError(f"weights: the items of {name!r} are not weighted")
     elif weights is not None:
-        w = _weights(weights, whole, subject).where(whole.notna(), 0.0)
+        w = _weights(weights, whole, subject)
         scores[f"{name}_weighted"] = (w * whole).sum(axis=1) / w.sum(axis=1)
     names = {"subject": subject, "condition": condition}
     result = pd.DataFrame(scores).reset_index().rename(columns=names)
     result.attrs = dict(answers.attrs)  # synthetic answers give synthetic scores
-    gaps = table.isna().melt(var_name="item", value_name="gap", ignore_index=False)
-    gaps = gaps[gaps.pop("gap")].reset_index().rename(columns=names)
-    return ScaleScores(questionnaire, labelled(result, origin_of(answers)), coded, gaps)
-
-
-def _places(rows: pd.MultiIndex, item: object = None) -> list[str]:
-    """Return how an error refers to answers: subject, condition where there are some, item."""
-    end = "" if item is None else f", item {item!r}"
-    return [
-        ", ".join(f"{key} {label!r}" for key, label in row.items()) + end
-        for row in rows.to_frame().astype(object).to_dict("records")
-    ]
+    return ScaleScores(questionnaire, labelled(result, origin_of(answers)), coded)
 
 
 def _read(
     argument: str, frame: pd.DataFrame, items: Sequence[str], subject: str, condition: str | None
 ) -> pd.DataFrame:
-    """
-    Return a column of numbers per item, NaN where not answered; subject and condition are the
-    index.
-    """
+    """Return a column of numbers per item; subject and condition are the index."""
     of_class(argument, frame, pd.DataFrame)
     keys = {"subject": subject} | ({} if condition is None else {"condition": condition})
     for key, name in keys.items():
         refuse_missing_labels(column_of(frame, key, name), key)
     index = pd.MultiIndex.from_arrays([frame[name] for name in keys.values()], names=keys)
     if frame.empty or index.has_duplicates:
-        repeated = "; ".join(_places(index[index.duplicated()])[:5])
         raise ValueError(
             f"{argument} must have one row per subject, or per subject and condition= if there are "
-            f"several; it has {len(frame)} rows, repeated: {repeated}"
+            f"several; it has {len(frame)} rows, repeated: {[*index[index.duplicated()]][:5]}"
         )
-    table: dict[str, list[float]] = {item: [] for item in items}
-    for item, numbers in table.items():
-        for i, answer in enumerate(column_of(frame, argument, item).array):
-            try:
-                numbers.append(number_or_nan(answer))
-            except TypeError:
-                (where,) = _places(index[[i]], item)
-                raise ValueError(f"{where}: {shown(answer)} is not a number") from None
-    return pd.DataFrame(table, index=index, dtype=float)
-
-
-def _check_answers(table: pd.DataFrame, questionnaire: Questionnaire) -> None:
-    """Refuse answers outside the scale or between its steps; missing ones pass."""
-    low, high, step = (getattr(questionnaire, name) for name in ("low", "high", "step"))
-    off = (table < low) | (table > high)
-    if step is not None:
-        steps = (table - low) / step
-        off |= (steps - steps.round()).abs() > 1e-9
-    for i, j in np.argwhere(off.to_numpy()):
-        (where,) = _places(table.index[[i]], table.columns[j])
+    columns = {item: numbers_of(column_of(frame, argument, item), argument) for item in items}
+    table = pd.DataFrame(columns, index)
+    for i, j in np.argwhere(table.isna().to_numpy()):
         raise ValueError(
-            f"{where}: {table.iloc[i, j]:g} is not on the scale from {low:g} to {high:g} in steps "
-            f"of {step}; if the form had another scale, score by dataclasses.replace("
-            "questionnaire, low=…, high=…, step=…)"
+            f"{argument}: {table.columns[j]} of {index[i]} is missing; fill it in from the "
+            "records, or leave the subject out"
         )
+    return table
 
 
 def _coded(questionnaire: Questionnaire, answers: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """Return the items of every score that is a mean, as they count in it; all of them first."""
-    low, high = questionnaire.low, questionnaire.high
+    low, high, kind = questionnaire.low, questionnaire.high, "mean"
     if questionnaire.task_load:
         answers = 100.0 * (answers - low) / (high - low)
-        low, high = 0.0, 100.0
-    kind = "raw" if questionnaire.task_load else "mean"
+        low, high, kind = 0.0, 100.0, "raw"
     whole = answers.copy()
     for item in questionnaire.reversed:
         whole[item] = low + high - whole[item]
@@ -411,37 +376,22 @@ def _coded(questionnaire: Questionnaire, answers: pd.DataFrame) -> dict[str, pd.
     return {f"{questionnaire.name}_{kind}": whole, **parts}
 
 
-def _check_missing(coded: Mapping[str, pd.DataFrame], rule: str) -> None:
-    """Refuse answers of which more are missing than the rule allows."""
-    rules = {"refuse": 0.0, "half_rule": 0.5}
-    most = rules[one_of("missing", rule, rules)]
-    for name, part in coded.items():
-        gaps = part.isna()
-        for i in np.flatnonzero(gaps.mean(axis=1) > most):
-            raise ValueError(
-                f"{_places(part.index[[i]])[0]}: missing answers of {name!r}: "
-                f"{', '.join(part.columns[gaps.iloc[i]])}. Fill them in from the records, leave "
-                'the subject out, or ask for missing="half_rule", which needs half of the items'
-            )
-
-
 def _weights(weights: pd.DataFrame, answers: pd.DataFrame, subject: str) -> pd.DataFrame:
     """Return a weight per item for every row of the answers."""
     w = _read("weights", weights, answers.columns, subject, None)
+    w.index = w.index.get_level_values("subject")
     # Landau (1953): of k items, the j chosen least meet each other j(j − 1)/2 times.
     least = np.cumsum(range(w.shape[1]))
     wins = np.sort(w).cumsum(axis=1)
     bad = (wins < least).any(axis=1) | (wins[:, -1] != least[-1]) | (w % 1.0 != 0.0).any(axis=1)
-    for i in np.flatnonzero(bad):
+    for label in w.index[bad]:
         raise ValueError(
-            f"weights of {_places(w.index[[i]])[0]}: no choices between two items give "
-            f"{w.iloc[i].tolist()}"
+            f"weights: no choices between two items give {w.loc[label].tolist()} of {label!r}"
         )
-    subjects = answers.index.get_level_values("subject")
-    w = w.set_axis(w.index.get_level_values("subject"))
-    if lacking := [label for label in subjects if label not in w.index]:
-        raise ValueError(f"weights: there are none for subject {lacking[0]!r}")
-    return w.loc[subjects].set_axis(answers.index)
+    people = answers.index.get_level_values("subject")
+    for label in people[~people.isin(w.index)]:
+        raise ValueError(f"weights: there are none for subject {label!r}")
+    return w.loc[people].set_axis(answers.index)
 
 
 def tlx_weights(
@@ -477,19 +427,17 @@ def tlx_weights(
     columns = {"subject": subject, "first": first, "second": second, "chosen": chosen}
     for argument, name in columns.items():
         refuse_missing_labels(column_of(choices, argument, name), argument)
+    every = {frozenset(pair) for pair in combinations(NASA_TLX.items, 2)}
     rows = []
     for label, part in choices.groupby(subject, sort=False):
-        counts = dict.fromkeys(NASA_TLX.items, 0)
-        for pair in combinations(NASA_TLX.items, 2):
-            compared = part[first].isin(pair) & part[second].isin(pair)
-            picks = part.loc[compared, chosen].tolist()
-            if len(picks) != 1 or picks[0] not in pair:
-                raise ValueError(
-                    f"subject {label!r}: of {' and '.join(pair)}, chosen is {picks}; one row per "
-                    "pair is needed, with one of the two"
-                )
-            counts[picks[0]] += 1
-        rows.append((label, *counts.values()))
+        pairs = [frozenset(pair) for pair in zip(part[first], part[second], strict=True)]
+        inside = all(pick in pair for pick, pair in zip(part[chosen], pairs, strict=True))
+        if not inside or {*pairs} != every or len(pairs) > len(every):
+            raise ValueError(
+                f"chosen: subject {label!r} must have one row per pair of {NASA_TLX.items}, with "
+                "one of the two"
+            )
+        rows.append([label, *(int((part[chosen] == item).sum()) for item in NASA_TLX.items)])
     return pd.DataFrame(rows, columns=[subject, *NASA_TLX.items])
 
 
@@ -578,10 +526,9 @@ def _alpha(items: pd.DataFrame, confidence: float) -> dict[str, float]:
     """Return how many subjects and items, alpha and its interval; NaN where it is not defined."""
     n, k = items.shape
     values = items.to_numpy(dtype=float)
-    values = values / (np.abs(values).max(initial=0.0) or 1.0)  # squares may overflow or underflow
     total = values.sum(axis=1)
     alpha, ends = np.nan, np.full(2, np.nan)
-    if k > 1 and n > 2 and np.ptp(total) > 1e-12:
+    if k > 1 and n > 2 and np.ptp(total) > 1e-12 * np.abs(total).max():
         alpha = (1.0 - values.var(axis=0, ddof=1).sum() / total.var(ddof=1)) * k / (k - 1)
         tail = 0.5 * (1.0 - confidence)
         ends = special.fdtri(n - 1, (n - 1) * (k - 1), [1.0 - tail, tail])

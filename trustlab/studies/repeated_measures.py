@@ -12,7 +12,14 @@ from scipy import special
 from trustlab.models.checks import one_of, open_unit
 from trustlab.models.display import axes_or_new
 from trustlab.studies import pairs
-from trustlab.studies.anova import CORRECTIONS, Design, effects, partial_eta_interval, regress
+from trustlab.studies.anova import (
+    CORRECTIONS,
+    Design,
+    Regression,
+    effects,
+    partial_eta_interval,
+    regress,
+)
 from trustlab.studies.table import (
     ScoreTable,
     Tested,
@@ -23,6 +30,7 @@ from trustlab.studies.table import (
     read_factors,
     read_groups,
 )
+from trustlab.studies.words import apa_report
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,21 +43,19 @@ class RepeatedMeasures(Tested):
 
     Parameters
     ----------
-    scores, observed : ScoreTable
-        What was analysed, and what was read (with the cells of excluded subjects). The conditions
-        of several factors are their cells, as tuples.
+    scores : ScoreTable
+        What was analysed. The conditions of several factors are their cells, as tuples.
     design : Design
         Factors within and between subjects, and groups.
     tests : pandas.DataFrame
         What `table` returns.
     excluded : tuple
         Subjects left out for missing cells.
-    correction_rule : {"greenhouse-geisser", "huynh-feldt", "none", "auto"}
+    correction_rule : {"greenhouse-geisser", "huynh-feldt", "none"}
         The correction asked for.
     """
 
     scores: ScoreTable
-    observed: ScoreTable
     design: Design
     tests: pd.DataFrame
     excluded: tuple
@@ -89,8 +95,7 @@ class RepeatedMeasures(Tested):
     @property
     def message(self) -> str:
         """The sentences for a paper, and where scores look like ratings which tests fit them."""
-        ranks = 'friedman() and pairs(method="wilcoxon")' if self.one_way else "aligned_ranks()"
-        return f"{self.apa()} {pairs.rating_note(self.scores.values, ranks)}".strip()
+        return f"{self.apa()} {pairs.rating_note(self.scores.values)}".strip()
 
     def _refuse_several_factors(self, name: str) -> None:
         if not self.one_way:
@@ -106,11 +111,10 @@ class RepeatedMeasures(Tested):
         Returns
         -------
         pandas.DataFrame
-            Columns dv, within (the factors), effect, n, k; those of `repeated_measures_batch`;
-            mauchly_reason (why Mauchly's test is not defined); df1_gg, df2_gg, df1_hf, df2_hf; the
-            correction that applies: correction, reason, df1_corrected, df2_corrected, p_corrected,
-            and eta2_partial_low, eta2_partial_high (90 %) with its degrees of freedom; alpha,
-            excluded (how many subjects), origin.
+            Columns dv, within (the factors), effect, n, k; those of `repeated_measures_batch`; the
+            correction that applies: correction, df1_corrected, df2_corrected, p_corrected, and
+            eta2_partial_low, eta2_partial_high (90 %) with its degrees of freedom; alpha, excluded
+            (how many subjects), origin.
         """
         return super().table()
 
@@ -125,19 +129,14 @@ class RepeatedMeasures(Tested):
             two 95 % intervals of the mean: ci_low and ci_high between subjects, ci_low_within and
             ci_high_within after Cousineau and Morey.
         """
-        number = np.zeros(self.n, dtype=int)
-        for name, levels in self.between.items():
-            number = number * len(levels) + self.design.groups[name]
-        values = self.scores.values
-        tables = [describe(values[number == i]) for i in range(number.max() + 1)]
+        sizes = [len(levels) for levels in self.between.values()] or [1]
+        codes = [self.design.groups[name] for name in self.between] or [np.zeros(self.n, dtype=int)]
+        number = np.ravel_multi_index(codes, sizes)
+        stats = [describe(self.scores.values[number == i]) for i in range(np.prod(sizes))]
         names = ["condition"] if self.one_way else [*self.between, *self.within]
-        labels = zip(*product(*self.between.values(), *self.within.values()), strict=True)
-        columns = {
-            name: pd.Index(column, tupleize_cols=False)
-            for name, column in zip(names, labels, strict=True)
-        }
-        stats = pd.concat(tables, ignore_index=True)
-        return labelled(pd.DataFrame(columns).join(stats), self.origin)
+        cells = [*product(*self.between.values(), *self.within.values())]
+        table = pd.DataFrame(cells, columns=names).join(pd.concat(stats, ignore_index=True))
+        return labelled(table, self.origin)
 
     def pairs(
         self,
@@ -145,7 +144,6 @@ class RepeatedMeasures(Tested):
         at: Hashable = None,
         *,
         method: str = "t",
-        error: str = "own",
         confidence: float = 0.95,
     ) -> pd.DataFrame:
         """
@@ -158,92 +156,48 @@ class RepeatedMeasures(Tested):
         factor, at : hashable, optional
             The factor compared (by default the only one within subjects) and the one whose levels
             are fixed; p-values are adjusted within each level.
-        method : {"t", "wilcoxon", "aligned_ranks"}
-            Paired t-tests; Wilcoxon's signed-rank tests of one factor; or, of several, t-tests of
-            ranks aligned for the cells of `factor` and `at` (ART-C: Elkin and others, UIST 2021,
-            754-768).
-        error : {"own", "pooled"}
-            Whether every comparison has the error of its own differences, as `emmeans` on afex's
-            multivariate model, or one variance of all cells, as with compound symmetry; degrees of
-            freedom are then Satterthwaite's.
+        method : {"t", "wilcoxon"}
+            Paired t-tests, or Wilcoxon's signed-rank tests of one factor.
         confidence : float
             Level of the intervals.
 
         Returns
         -------
         pandas.DataFrame
-            Columns level (of `at`, with several factors) a b mean_difference (a − b) ci_low ci_high
-            (unadjusted) t df p p_bonferroni p_holm d_z (mean over the residual standard
-            deviation of the differences; NaN between groups) d_z_low d_z_high; of one factor
-            also d_av (mean over the mean of both standard deviations). For "wilcoxon", a b V p
-            method rank_biserial median_difference p_bonferroni p_holm; p is NaN where no subject's
-            scores differ.
+            Columns level (of `at`, with several factors) a b mean_difference (a − b) t p ci_low
+            ci_high (unadjusted) df p_bonferroni p_holm d_z (mean over the residual standard
+            deviation of the differences; NaN between groups) d_z_low d_z_high; of one factor also
+            d_av (mean over the mean of both standard deviations). For "wilcoxon", a b V p method
+            rank_biserial median_difference p_bonferroni p_holm; p is NaN where no subject's scores
+            differ.
 
         Raises
         ------
         ValueError
             If a factor is unknown or missing, both are the same, or an argument has no effect.
         """
-        one_of("error", error, pairs.ERRORS)
-        one_of("method", method, ("t", "wilcoxon") if self.one_way else ("t", "aligned_ranks"))
         if factor is None and len(self.within) == 1:
             factor = next(iter(self.within))
-        if factor is None:
-            raise ValueError(f"factor must be one of {[*self.within, *self.between]}")
-        values = self.scores.values
-        if method == "aligned_ranks":
-            factors = [name for name in (factor, at) if name is not None]
-            for name in factors:
-                pairs.levels_of_factor(self.design, name)
-            values = pairs.aligned(values, self.design, factors, whole=True)
+        if one_of("method", method, ("t", "wilcoxon")) == "wilcoxon":
+            self._refuse_several_factors('pairs(method="wilcoxon")')
         level = open_unit("confidence", confidence)
-        table = pairs.factor_pairs(values, self.design, factor, at, error, level)
-        if method == "wilcoxon":
-            if error != "own":
-                raise ValueError("error has no effect on Wilcoxon's tests; leave it out")
-            table = pd.concat([table[["level", "a", "b"]], pairs.rank_pairs(values)], axis=1)
-        elif self.one_way:
+        table = pairs.factor_pairs(self._regression(), factor, at, level)
+        if self.one_way:
+            table = table.drop(columns="level")
             sd = self.scores.values.std(axis=0, ddof=1)
             a, b = np.triu_indices(self.k, 1)
             both = 0.5 * (sd[a] + sd[b])
             table["d_av"] = table["mean_difference"] / np.where(both > 0.0, both, np.nan)
-        if self.one_way:
-            table = table.drop(columns="level")
+        if method == "wilcoxon":
+            table = table[["a", "b"]].join(pairs.rank_pairs(self.scores.values))
         return labelled(table, self.origin)
 
-    def aligned_ranks(self, error: str = "own") -> pd.DataFrame:
-        """
-        Return the test of every effect on ranks aligned for it: for ratings and skewed scores.
-
-        Parameters
-        ----------
-        error : {"own", "pooled"}
-            Error terms as for `pairs`; "pooled" is what ARTool's models with a random intercept per
-            subject have.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns effect, F, df1, df2, p, epsilon_gg, p_gg (NaN where the error is pooled),
-            eta2_partial, all of ranks.
-
-        Raises
-        ------
-        ValueError
-            If `error` is none of these.
-
-        References
-        ----------
-        J. O. Wobbrock, L. Findlater, D. Gergle, J. J. Higgins, The aligned rank transform for
-        nonparametric factorial analyses using only ANOVA procedures, CHI 2011, 143-146.
-        """
-        one_of("error", error, pairs.ERRORS)
-        table = pairs.aligned_tests(self.scores.values, self.design, error)
-        return labelled(table, self.origin)
+    def _regression(self) -> Regression:
+        return regress(self.scores.values[None], self.design)
 
     def residual_covariance(self) -> np.ndarray:
         """Return the covariance of the cells, given the groups."""
-        return regress(self.scores.values[None], self.design).covariance(np.eye(self.k))[0]
+        return self._regression().covariance(np.eye(self.k))[0]
 
     def normality(self) -> pd.DataFrame:
         """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
@@ -264,13 +218,9 @@ class RepeatedMeasures(Tested):
         -------
         pandas.DataFrame
             Columns p_shapiro_least (of all pairs' differences), pairs_not_normal (p below alpha
-            after Holm's adjustment), p_anova (corrected), friedman_chi2, p_friedman, kendall_w,
-            mixed_n, mixed_F, p_mixed.
+            after Holm's adjustment), p_anova (corrected), friedman_chi2, p_friedman, kendall_w.
         """
-        from trustlab.studies.mixed import fit_mixed_model
-
         normality, ranks = self.normality()["p"], self.friedman().loc[0]
-        mixed = fit_mixed_model(self.observed)
         row = {
             "p_shapiro_least": normality.min(),
             "pairs_not_normal": int((pairs.holm(normality.to_numpy()) < self.alpha).sum()),
@@ -278,9 +228,6 @@ class RepeatedMeasures(Tested):
             "friedman_chi2": ranks["chi2"],
             "p_friedman": ranks["p"],
             "kendall_w": ranks["kendall_w"],
-            "mixed_n": mixed.n,
-            "mixed_F": mixed.F,
-            "p_mixed": mixed.p,
         }
         return labelled(pd.DataFrame([row]), self.origin)
 
@@ -294,8 +241,6 @@ class RepeatedMeasures(Tested):
             Which adjustment of the pairwise p-values to report; with several factors, every effect
             is reported, and no pairs.
         """
-        from trustlab.studies.words import apa_report
-
         return apa_report(self, adjust)
 
     def plot(self, axes=None):
@@ -315,9 +260,7 @@ class RepeatedMeasures(Tested):
         factor, levels = next(iter(self.within.items()))
         stats = self.descriptives()
         lines = [name for name in (*self.between, *self.within) if name != factor]
-        cells: Any = [("", stats)]
-        if lines:
-            cells = stats.groupby(lines, sort=False, observed=True)
+        cells: Any = stats.groupby(lines, sort=False) if lines else [((), stats)]
         axes = axes_or_new(axes, figsize=(max(4.2, 1.6 + 0.9 * len(levels)), 3.6))
         for i, (cell, rows) in enumerate(cells):
             mean, label = rows["mean"], ", ".join(map(str, cell))
@@ -328,13 +271,12 @@ class RepeatedMeasures(Tested):
             axes.legend(fontsize="small", title=", ".join(map(str, lines)))
         axes.set_xticks(range(len(levels)), [str(level) for level in levels])
         origin = f"{self.origin}: " if self.origin else ""
-        title = f"{origin}means, 95 % intervals (N = {self.n})"
+        axes.set_title(f"{origin}means, 95 % intervals (N = {self.n})", fontsize="small", wrap=True)
         axes.set(xlabel=str(factor), ylabel=str(self.dv))
-        axes.set_title(title, fontsize="small", wrap=True)
         return axes
 
 
-def describe(values: np.ndarray, level: float = 0.95) -> pd.DataFrame:
+def describe(values: np.ndarray) -> pd.DataFrame:
     """
     Return n mean sd se median minimum maximum of every condition, and both intervals of the mean.
 
@@ -343,13 +285,14 @@ def describe(values: np.ndarray, level: float = 0.95) -> pd.DataFrame:
     removes.
     """
     n, k = values.shape
-    names = {"count": "n", "mean": "mean", "std": "sd", "sem": "se", "median": "median"}
+    names = {"mean": "mean", "std": "sd", "sem": "se", "median": "median"}
     names |= {"min": "minimum", "max": "maximum"}
-    stats = pd.DataFrame(values).agg([*names]).T.rename(columns=names).astype({"n": int})
+    stats = pd.DataFrame(values).agg([*names]).T.rename(columns=names)
+    stats.insert(0, "n", n)
     centred = values - values.mean()  # a common offset would cost digits in the subjects' means
-    own = centred - centred.mean(axis=1, keepdims=True)
-    within_sd = own.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
-    width = special.stdtrit(n - 1, 0.5 + 0.5 * level) / np.sqrt(n)
+    inside = centred - centred.mean(axis=1, keepdims=True)
+    within_sd = inside.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
+    width = special.stdtrit(n - 1, 0.975) / np.sqrt(n)
     for end, sd in {"": stats["sd"], "_within": within_sd}.items():
         stats[f"ci_low{end}"] = stats["mean"] - width * sd
         stats[f"ci_high{end}"] = stats["mean"] + width * sd
@@ -387,10 +330,8 @@ def repeated_measures(
         Conditions in the order wanted; with several factors, a dict of factor to levels. By default
         a categorical column keeps the order of its categories (those that occur); numbers are
         sorted by value and text by alphabet.
-    correction : {"greenhouse-geisser", "huynh-feldt", "none", "auto"}
-        Which correction `.p_corrected` has. "auto": Greenhouse–Geisser where Mauchly's test rejects
-        sphericity at `alpha` or is not defined, none elsewhere; with few subjects its type I error
-        is above `alpha`, as the test misses violations. All three are always in the result.
+    correction : {"greenhouse-geisser", "huynh-feldt", "none"}
+        Which correction `.p_corrected` has. All three are always in the result.
     alpha : float
         Level of significance.
 
@@ -421,13 +362,12 @@ def repeated_measures(
            F  df1  df2  epsilon_gg   p_gg
     0  5.891    4  140       0.819  0.001
     """
-    one_of("correction", correction, ("auto", *CORRECTIONS))
+    one_of("correction", correction, CORRECTIONS)
     alpha = open_unit("alpha", alpha)
     if not names_of(within):
         raise ValueError("within must name a column")
     levels, groups = read_factors(frame, dv, within, subject, between, order)
-    observed = read_cells(frame, dv, levels, subject)
-    scores, excluded = complete_scores(observed, missing)
+    scores, excluded = complete_scores(read_cells(frame, dv, levels, subject), missing)
     read = {name: read_groups(frame, name, listed, scores) for name, listed in groups.items()}
     numbers = {name: codes for name, (_, codes) in read.items()}
     groups = {name: group for name, (group, _) in read.items()}
@@ -449,55 +389,33 @@ def repeated_measures(
         reason = str(error).removeprefix("study 0: ")
         raise ValueError(f"dv: column {scores.dv!r} by {scores.within!r}: {reason}") from None
     first = {"dv": scores.dv, "within": scores.within}
+    size = {"n": design.n, "k": len(scores.conditions)}
     last = {"alpha": alpha, "excluded": len(excluded), "origin": scores.origin}
-    rows = []
-    for row in tests.to_dict("records"):
-        effect = {"effect": row.pop("effect"), "n": design.n, "k": len(scores.conditions)}
-        rows.append(first | effect | _decided(row, design, correction, alpha) | last)
-    tests = labelled(pd.DataFrame(rows), scores.origin)
-    return RepeatedMeasures(scores, observed, design, tests, excluded, correction)
+    rows = [
+        first | {"effect": row.pop("effect")} | size | _corrected(row, design, correction) | last
+        for row in tests.to_dict("records")
+    ]
+    table = labelled(pd.DataFrame(rows), scores.origin)
+    return RepeatedMeasures(scores, design, table, excluded, correction)
 
 
-def _decided(row: dict, design: Design, correction: str, alpha: float) -> dict[str, Any]:
-    """Return the test of an effect with the correction that applies and the interval of η²."""
-    for end in ("gg", "hf"):
-        row |= {f"{df}_{end}": row[df] * row[f"epsilon_{end}"] for df in ("df1", "df2")}
-    row |= _decision(row, design.df_error, correction, alpha)
-    df1, df2 = row["df1_corrected"], row["df2_corrected"]
-    interval = partial_eta_interval(row["F"], df1, df2)
+def _corrected(test: dict, design: Design, correction: str) -> dict[str, Any]:
+    """Return a test with the correction that applies, and the interval of partial η²."""
+    d = test["df2"] // design.df_error
+    if d == 1:
+        correction = "none"  # sphericity always holds
+    end = CORRECTIONS[correction]
+    epsilon = test.get(f"epsilon{end}", 1.0)
+    df1, df2 = test["df1"] * epsilon, test["df2"] * epsilon
+    interval = partial_eta_interval(test["F"], df1, df2)
     # λ = n d ε η²/(1 − η²) in the population, for d contrasts within subjects.
-    d = row["df2"] // design.df_error
-    total = df2 + df1 * (design.n - design.df_error) * d / row["df1"]
+    total = df2 + epsilon * (design.n - design.df_error) * d
     low, high = interval.noncentrality_low, interval.noncentrality_high
-    return row | {
+    return test | {
+        "correction": correction,
+        "df1_corrected": df1,
+        "df2_corrected": df2,
+        "p_corrected": test[f"p{end}"],
         "eta2_partial_low": low / (low + total),
         "eta2_partial_high": high / (high + total),
     }
-
-
-def _decision(row: dict, df_error: int, correction: str, alpha: float) -> dict[str, Any]:
-    """
-    Return the correction that applies to a test and why, its degrees of freedom and p; one contrast
-    needs none.
-    """
-    d = row["df2"] // df_error
-    undefined = ""
-    if df_error < d:
-        undefined = f"{df_error + 1} subjects are too few for {d + 1} conditions"
-    elif np.isnan(row["mauchly_w"]):
-        undefined = "a condition is a linear combination of others, the covariance singular"
-    why = f"Mauchly's test is not defined: {undefined}." if undefined else ""
-    reason = f"Correction “{correction}” applies, whatever Mauchly's test says. {why}".strip()
-    if d == 1:
-        correction, reason = "none", "With two conditions sphericity always holds."
-        why = reason
-    elif correction == "auto":
-        rejected = not row["mauchly_p"] >= alpha  # a p that is not defined rejects
-        correction = "greenhouse-geisser" if rejected else "none"
-        verb, sign = ("rejects", "<") if rejected else ("does not reject", "≥")
-        p = f"(p = {row['mauchly_p']:.3g} {sign} {alpha:g})"
-        reason = f"{why} Sphericity cannot be tested and is not assumed."
-        reason = reason if why else f"Mauchly's test {verb} sphericity {p}."
-    end = {"none": "", "greenhouse-geisser": "_gg", "huynh-feldt": "_hf"}[correction]
-    corrected = {f"{name}_corrected": float(row[f"{name}{end}"]) for name in ("df1", "df2", "p")}
-    return {"mauchly_reason": why, "correction": correction, "reason": reason} | corrected

@@ -4,7 +4,7 @@ import html
 import io
 import os
 import re
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, shown, whole_number
+from trustlab.models.checks import of_class, one_of, shown
 from trustlab.models.display import Result
 from trustlab.models.extras import extra
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
-from trustlab.studies.words import apa_number, apa_table, df_text, in_words, share
+from trustlab.studies.words import apa_number, apa_table, in_words
 
 # What LaTeX has no letter for.
 _LATEX = {"−": "$-$", "×": r"$\times$", "ηp²": r"$\eta_p^2$", "ηG²": r"$\eta_G^2$", "²": "$^2$"}
@@ -61,17 +61,16 @@ class StudyReport(Result):
         """Return what `result.table()` does, or the table itself."""
         return self.result if isinstance(self.result, pd.DataFrame) else self.result.table()
 
-    def write(self, path: str | os.PathLike, digits: int = 2) -> Path:
+    def write(self, path: str | os.PathLike) -> Path:
         """
         Write text, tables and (in HTML, of an analysis of variance) the figure to a file.
+
+        Estimates have as many decimals as their errors ask for, at least two; p-values have three.
 
         Parameters
         ----------
         path : path-like
             Ends in .html, or .tex (a fragment that needs booktabs).
-        digits : int
-            Least number of decimals: estimates have as many as their errors ask for; p-values have
-            three.
 
         Returns
         -------
@@ -82,10 +81,10 @@ class StudyReport(Result):
         ValueError
             If the ending is another one.
         """
-        path, digits = Path(path), whole_number("digits", digits, least=0, most=12)
+        path = Path(path)
         kind = one_of(f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex"))
         mark = f" [{self.origin}]" if self.origin else ""
-        tables = {title + mark: _printed(table, digits) for title, table in self.tables.items()}
+        tables = {title + mark: _printed(table) for title, table in self.tables.items()}
         text = _html(self, tables) if kind == ".html" else _latex(self.message, tables)
         path.write_text(text, encoding="utf-8")
         return path
@@ -144,50 +143,34 @@ def report(
             f"{type(frame).__name__}"
         )
     table, title = result, "Results"
-    if result is not table or not isinstance(result, pd.DataFrame):
+    if not isinstance(result, pd.DataFrame):
         table = result.table()
         title = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(result).__name__).capitalize()
     named = table.reset_index() if table.index.names != [None] else table
     if len(named) == 1 and named.shape[1] > _WIDE:
-        named = _printed(named, 2).T.reset_index().set_axis(["statistic", "value"], axis=1)
+        named = _printed(named).T.reset_index().set_axis(["statistic", "value"], axis=1)
     return StudyReport(result, _sentences(result), {title: named}, _origin(result, table))
 
 
 def _section(result: RepeatedMeasures) -> dict[str, pd.DataFrame]:
     """Return the tables of an analysis of variance; levels that are numbers stay as they are."""
     factors = [*result.within, *result.between]
-    labels = {"condition"} if result.one_way else set(factors)
-    stats = result.descriptives()
-    moments = [name for name in stats if name in labels or name in ("n", "mean", "sd")]
-    stats = stats[[*moments, "ci_low", "ci_high"]]
-    tests = result.table()
-    df = [
-        f"{df_text(df1)}, {df_text(df2)}"
-        for df1, df2 in zip(tests["df1_corrected"], tests["df2_corrected"], strict=True)
-    ]
-    limits = _brackets(tests["eta2_partial_low"], tests["eta2_partial_high"], share)
-    heads = ["effect", "F", "p_corrected", "eta2_partial", "eta2_generalized", "correction"]
-    tests = tests[heads].copy()
-    for name in ("eta2_partial", "eta2_generalized"):
-        tests[name] = tests[name].map(share)
-    tests.insert(2, "df", df)
-    tests.insert(5, "90% CI", limits)
-    tables = {"Descriptive statistics": stats, "Analysis of variance": tests}
+    labels = ["condition"] if result.one_way else factors
+    stats, tests = result.descriptives(), result.table()
+    wanted = {*labels, "n", "mean", "sd", "ci_low", "ci_high"}
+    heads = ["effect", "F", "df1_corrected", "df2_corrected", "p_corrected", "eta2_partial"]
+    heads += ["eta2_partial_low", "eta2_partial_high", "eta2_generalized", "correction"]
+    tables = {
+        "Descriptive statistics": stats[[name for name in stats if name in wanted]],
+        "Analysis of variance": tests[heads],
+    }
     for factor in factors:
-        pairs = result.pairs(factor).drop(columns=["level", "d_av"], errors="ignore")
-        limits = _brackets(pairs.pop("d_z_low"), pairs.pop("d_z_high"), apa_number)
-        pairs["95% CI of d_z"] = limits
         of_factor = "" if result.one_way else f" of {factor}"
+        pairs = result.pairs(factor).drop(columns=["level", "d_av"], errors="ignore")
         tables[f"Pairwise comparisons{of_factor}"] = pairs
     for table in tables.values():
         table.attrs["labels"] = [*map(str, labels)]
     return tables
-
-
-def _brackets(lows: pd.Series, highs: pd.Series, text: Callable[[float], str]) -> list[str]:
-    """Return intervals as "[0.12, 0.34]", empty where they are not defined."""
-    pairs = zip(lows, highs, strict=True)
-    return ["" if np.isnan(low) else f"[{text(low)}, {text(high)}]" for low, high in pairs]
 
 
 def _side_by_side(
@@ -208,7 +191,7 @@ def _side_by_side(
         title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
         rows = []
         for name, result in results.items():
-            texts = _printed(_estimates(result), 2).replace({"standard error": {"": "–"}})
+            texts = _printed(_estimates(result)).replace({"standard error": {"": "–"}})
             cells = texts["value"] + " ± " + texts["standard error"]
             failed = "" if getattr(result, "success", True) else " (the fit failed)"
             row = {"of": f"{name}{failed}"} | dict(zip(texts["parameter"], cells, strict=True))
@@ -252,10 +235,10 @@ def _origin(result: Any, table: pd.DataFrame) -> str:
     return getattr(result, "origin", "") or table.attrs.get("origin", "") or synthetic
 
 
-def _printed(table: pd.DataFrame, digits: int) -> pd.DataFrame:
+def _printed(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table of texts with the roundings and heads of a paper."""
     named = table.reset_index() if table.index.names != [None] else table
-    texts = apa_table(named.rename(columns=str).rename_axis(columns=None), digits)
+    texts = apa_table(named.rename(columns=str).rename_axis(columns=None))
     texts = texts.astype(object).where(texts.notna(), "").map(str).rename(columns=in_words)
     for name in ("parameter", "correction"):
         if name in texts:

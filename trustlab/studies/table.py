@@ -1,10 +1,10 @@
 """The one reader of tables: columns by name, labels, numbers, scores as subjects × conditions."""
 
-import decimal
-import numbers
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from itertools import compress, product
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,57 +17,44 @@ from trustlab.models.display import Result
 _SHOWN = 5
 
 
-def column_of(frame: pd.DataFrame, argument: str, name: Hashable, remedy: str = "") -> pd.Series:
-    """
-    Return the one column that an argument names; `remedy` is appended to the error if no name is
-    similar.
-    """
-    if not isinstance(name, Hashable):
-        raise ValueError(
-            f"{argument} must be the name of one column, got {name!r}; one factor at a time"
-        )
-    if name not in frame.columns:
+def column_of(frame: pd.DataFrame, argument: str, name: Hashable) -> pd.Series:
+    """Return the one column that an argument names."""
+    if not isinstance(name, Hashable) or name not in frame.columns:
         there = ", ".join(map(str, frame.columns))
-        hint = did_you_mean(name, frame.columns)
-        raise ValueError(f"{argument}: no column {name!r}{hint or remedy} (there are {there})")
+        remedy = did_you_mean(name, frame.columns)
+        if argument in ("dv", "within"):
+            remedy = remedy or "; frame.melt(…) makes a table with a column per condition long"
+        raise ValueError(f"{argument}: no column {shown(name)}{remedy} (there are {there})")
     column = frame[name]
     if isinstance(column, pd.DataFrame):
-        raise ValueError(
-            f"{argument}: column {name!r} occurs {column.shape[1]} times; keep or rename all but "
-            "one, or give a name of several levels in full"
-        )
+        raise ValueError(f"{argument}: {column.shape[1]} columns are named {name!r}; rename them")
     return column
 
 
 def refuse_missing_labels(column: pd.Series, argument: str) -> None:
-    """Refuse a column with a missing or unhashable label, and name its row."""
-    for row, label in zip(column.index.tolist(), column.tolist(), strict=True):
+    """Refuse a column with a missing label, and name its row."""
+    for row in column.index[column.isna()]:
+        raise ValueError(f"{argument}: column {column.name!r} has no label in row {row!r}")
+
+
+def numbers_of(column: pd.Series, argument: str) -> np.ndarray:
+    """Return a column as floats, NaN where it has nothing; what is no number is refused."""
+    numbers = np.full(len(column), np.nan)
+    for place, value in enumerate(column.tolist()):
+        if pd.api.types.is_scalar(value) and pd.isna(value):
+            continue
+        real = isinstance(value, Real | Decimal) and not isinstance(value, bool)
         try:
-            hash(label)
-        except TypeError:  # a list, a dictionary, a signalling NaN
+            numbers[place] = float(value) if real else np.inf
+        except OverflowError:
+            numbers[place] = np.inf
+        if np.isinf(numbers[place]):
             raise ValueError(
-                f"{argument}: column {column.name!r} holds {shown(label)} in row {row!r}, which "
-                "is no label"
-            ) from None
-        if pd.isna(label):
-            raise ValueError(
-                f"{argument}: column {column.name!r} has no label in row {row!r}; each row needs "
-                "one"
+                f"{argument}: column {column.name!r} holds {shown(value)} in row "
+                f"{column.index[place]!r}; it must hold finite numbers (pandas.to_numeric converts "
+                "text)"
             )
-
-
-def number_or_nan(value: object) -> float:
-    """
-    Return a real number as a float, a missing value as NaN; raise TypeError for anything else.
-    """
-    if value is None or value is pd.NA or value is pd.NaT:
-        return np.nan
-    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real | decimal.Decimal):
-        raise TypeError
-    try:
-        return float(value)
-    except (OverflowError, ValueError):  # beyond the range of floats, or a signalling NaN
-        raise TypeError from None
+    return numbers
 
 
 def labels_of(name: str, values: object, least: int) -> tuple[Hashable, ...]:
@@ -77,13 +64,11 @@ def labels_of(name: str, values: object, least: int) -> tuple[Hashable, ...]:
     ):
         raise ValueError(f"{name} must be a list of labels, got {values!r}")
     labels = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
-    for k, label in enumerate(labels):
+    for label in labels:
         usable = isinstance(label, Hashable) and not isinstance(label, bool)
         if not usable or pd.isna([label]).any() or not str(label).strip():
-            raise ValueError(
-                f"{name}[{k}] is {label!r}; a label must be a number or a text that is not empty"
-            )
-        if label in labels[:k]:
+            raise ValueError(f"{name}: {label!r} is no label, a number or a text that is not empty")
+        if labels.count(label) > 1:
             raise ValueError(f"{name} must differ from one another, but {label!r} occurs twice")
     if len(labels) < least:
         raise ValueError(f"{name} must have at least {least} labels, got {len(labels)}")
@@ -130,20 +115,18 @@ def levels_of(series: pd.Series, argument: str, order: Any = None) -> tuple:
     refuse_missing_labels(series, argument)
     labels = tuple(dict.fromkeys(series.tolist()))
     if order is not None:
-        listed = list(order) if isinstance(order, Iterable) and not isinstance(order, str) else []
+        listed = list(order) if isinstance(order, list | tuple) else []
         if len(listed) != len(labels) or any(label not in listed for label in labels):
             raise ValueError(
                 f"order must list every condition in column {series.name!r} once, {[*labels]}, got "
                 f"{order!r}; leave conditions out by selecting rows"
             )
-        return tuple(sorted(labels, key=listed.index))
+        return tuple(listed)
     if isinstance(series.dtype, pd.CategoricalDtype):
         return tuple(series.cat.remove_unused_categories().cat.categories.tolist())
     try:
         return tuple(sorted(labels))
     except TypeError:
-        if argument == "subject":
-            return labels
         raise ValueError(
             f"{argument}: column {series.name!r} mixes types of labels, without a common order; "
             "make them one type, or give order=[…]"
@@ -173,9 +156,6 @@ class Tested(Result):
                 "per effect"
             )
         return values[0]
-
-    def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *self.tests]
 
     def table(self) -> pd.DataFrame:
         """Return the tests, a row for each effect; nothing is rounded."""
@@ -252,114 +232,63 @@ def read_factors(
     of_class("frame", frame, pd.DataFrame, "with a row per subject and condition")
     within, between = names_of(within), names_of(between)
     factors = within + between
-    if not factors:
-        raise ValueError("within and between name no factor")
-    start = "frame"
-    if isinstance(subject, Hashable) and subject not in frame.columns:
-        start = f"frame.rename_axis({subject!r}).reset_index()"
-    remedy = (
-        "; a table with a column per condition becomes long by "
-        f"{start}.melt(id_vars={subject!r}, var_name={factors[0]!r}, value_name={dv!r})"
-    )
-    for argument, names in {"dv": [dv], "within": within}.items():
-        for name in names:
-            column_of(frame, argument, name, remedy)
-    for argument, names in {"between": between, "subject": [subject]}.items():
+    if not factors or frame.empty:
+        raise ValueError("within and between name no factor, or frame has no rows")
+    parts = {"dv": [dv], "within": within, "between": between, "subject": [subject]}
+    for argument, names in parts.items():
         for name in names:
             column_of(frame, argument, name)
-    columns = [dv, subject, *factors]
-    for name in columns:
-        if columns.count(name) > 1:
-            raise ValueError(f"every column has one part in a design, but {name!r} is named twice")
-    if len(frame) == 0:
-        raise ValueError("frame has no rows")
+    if len({dv, subject, *factors}) < 2 + len(factors):
+        raise ValueError(f"dv, within, between and subject must be different columns: {parts}")
     people = frame[subject]
     refuse_missing_labels(people, "subject")
-    if order is not None and not isinstance(order, dict) and len(within or between) == 1:
-        order = {factors[0]: order}
-    order = of_class("order", {} if order is None else order, dict, "give each factor's levels")
-    if unknown := [name for name in order if name not in factors]:
+    if order is not None and not isinstance(order, dict):
+        order = {factors[0]: order} if len(factors) == 1 else of_class("order", order, dict)
+    if unknown := [name for name in order or {} if name not in factors]:
         raise ValueError(f"order: {unknown[0]!r} is not a factor of this design: {factors}")
     levels = {}
     for name in factors:
         argument = "within" if name in within else "between"
-        levels[name] = levels_of(frame[name], argument, order.get(name))
+        levels[name] = levels_of(frame[name], argument, (order or {}).get(name))
         if len(levels[name]) < 2:
-            raise ValueError(
-                f"{argument}: column {name!r} has one condition only, {levels[name][0]!r}; two are "
-                "needed"
-            )
-    for name in within:
-        if frame[name].groupby(people).nunique().max() == 1:
+            raise ValueError(f"{argument}: column {name!r} has one condition only, {levels[name]}")
+        if name in within and frame[name].groupby(people).nunique().max() == 1:
             raise ValueError(
                 f"within: column {name!r} has one label for every person; give between={name!r}"
             )
     for name in between:
-        refuse_two_labels("between", frame[name], people)
+        count = frame[name].groupby(people).nunique()
+        for person in count.index[count > 1]:
+            raise ValueError(f"between: subject {person!r} has several labels in column {name!r}")
     return {name: levels[name] for name in within}, {name: levels[name] for name in between}
-
-
-def refuse_two_labels(argument: str, column: pd.Series, people: pd.Series) -> None:
-    """Refuse a person with two labels in a column."""
-    labels = column.groupby(people).unique()
-    for person, given in labels[labels.map(len) > 1].items():
-        raise ValueError(
-            f"{argument}: subject {person!r} has two labels in column {column.name!r}, "
-            f"{given[0]!r} and {given[1]!r}"
-        )
 
 
 def read_cells(
     frame: pd.DataFrame, dv: Hashable, levels: Mapping[Hashable, tuple], subject: Hashable
 ) -> ScoreTable:
     """Return the scores in all cells of the factors; the last varies fastest."""
+    scores = numbers_of(frame[dv], "dv")
+    columns = [subject, *levels]
+    for row in frame.index[frame.duplicated(columns)]:
+        raise ValueError(
+            f"frame has more than one row for a cell, such as row {row!r}; average the trials of a "
+            f"cell first: frame.groupby({columns}, as_index=False)[{dv!r}].mean()"
+        )
     subjects = levels_of(frame[subject], "subject")
     cells = tuple(product(*levels.values()))
-    conditions = cells if len(levels) > 1 else tuple(cell[0] for cell in cells)
-    place_of = {label: i for i, label in enumerate(subjects)}
-    cell_of = {cell: j for j, cell in enumerate(cells)}
-    values = np.full((len(subjects), len(cells)), np.nan)
-    filled: set[tuple[int, int]] = set()
-    repeated = []
-    labels = zip(*(frame[name].tolist() for name in levels), strict=True)
-    rows = zip(
-        frame[subject].tolist(), labels, frame[dv].tolist(), frame.index.tolist(), strict=True
+    labels = {subject: subjects, **levels}
+    places = [[*map(labels[name].index, frame[name].tolist())] for name in columns]
+    values = np.full([len(labels[name]) for name in columns], np.nan)
+    values[tuple(places)] = scores
+    return ScoreTable(
+        values=values.reshape(len(subjects), -1),
+        subjects=subjects,
+        conditions=cells if len(levels) > 1 else tuple(cell for (cell,) in cells),
+        dv=dv,
+        within=next(iter(levels)) if len(levels) == 1 else " × ".join(map(str, levels)),
+        subject=subject,
+        origin=origin_of(frame),
     )
-    for person, cell, value, row in rows:
-        place = place_of[person], cell_of[cell]
-        name = f"subject {person!r}, condition {conditions[place[1]]!r}"
-        try:
-            values[place] = number_or_nan(value)
-        except TypeError:
-            values[place] = np.inf
-        if np.isinf(values[place]):
-            raise ValueError(
-                f"dv: column {dv!r} holds {shown(value)} for {name} (row {row!r}); scores must be "
-                "numbers that are finite (pandas.to_numeric converts text)"
-            )
-        if place in filled:
-            repeated.append(name)
-        filled.add(place)
-    if repeated:
-        mean = f"frame.groupby({[subject, *levels]}, as_index=False)[{dv!r}].mean()"
-        raise ValueError(
-            f"cells with more than one row: {_listed([*dict.fromkeys(repeated)])}; average the "
-            f"trials of a cell first: {mean}"
-        )
-    name = next(iter(levels)) if len(levels) == 1 else " × ".join(map(str, levels))
-    return ScoreTable(values, subjects, conditions, dv, name, subject, origin_of(frame))
-
-
-def _listed(texts: list[str]) -> str:
-    """Return the first texts, and how many more there are."""
-    more = f"; and {len(texts) - _SHOWN} more" if len(texts) > _SHOWN else ""
-    return "; ".join(texts[:_SHOWN]) + more
-
-
-def same_for_all(table: ScoreTable) -> list:
-    """Return the conditions of a complete table in which every subject has the same score."""
-    spread = np.ptp(table.values, axis=0)
-    return [label for label, reach in zip(table.conditions, spread, strict=True) if reach == 0.0]
 
 
 def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTable, tuple]:
@@ -368,24 +297,25 @@ def complete_scores(table: ScoreTable, missing: str = "raise") -> tuple[ScoreTab
     """
     one_of("missing", missing, ("raise", "listwise"))
     absent = np.isnan(table.values)
-    gaps = []
-    for subject, cells in zip(table.subjects, absent, strict=True):
-        names = ", ".join(map(repr, compress(table.conditions, cells)))
-        if names:
-            where = "at all" if cells.all() else f"in condition {names}"
-            gaps.append(f"subject {subject!r} has no score {where}")
+    gaps = [
+        f"subject {subject!r} has no score in condition "
+        f"{', '.join(map(repr, compress(table.conditions, cells)))}"
+        for subject, cells in zip(table.subjects, absent, strict=True)
+        if cells.any()
+    ]
+    more = f"; and {len(gaps) - _SHOWN} more" if len(gaps) > _SHOWN else ""
+    shown_gaps = "; ".join(gaps[:_SHOWN]) + more
     if gaps and missing == "raise":
         raise ValueError(
-            f"missing cells in {table.dv!r}: {_listed(gaps)}. Complete them; or leave these "
-            "subjects out with missing='listwise'; or call tl.mixed_model with the same "
-            "arguments: it takes missing cells"
+            f"missing cells in {table.dv!r}: {shown_gaps}. Complete them; or leave these subjects "
+            "out with missing='listwise'; or call tl.mixed_model with the same arguments: it takes "
+            "missing cells"
         )
     complete = ~absent.any(axis=1)
     if complete.sum() < 3:
-        left_out = f" (left out: {_listed(gaps)})" if gaps else ""
         raise ValueError(
-            f"subject: {counted(complete.sum(), 'complete subject')} in column "
-            f"{table.subject!r}{left_out}; at least three are needed"
+            f"subject: {counted(complete.sum(), 'complete subject')} in column {table.subject!r}; "
+            f"at least three are needed. {shown_gaps}"
         )
     kept, excluded = (tuple(compress(table.subjects, side)) for side in (complete, ~complete))
     return replace(table, values=table.values[complete], subjects=kept), excluded
@@ -401,10 +331,9 @@ def read_groups(
     group_of = dict(zip(frame[scores.subject].tolist(), frame[name].tolist(), strict=True))
     members = [group_of[subject] for subject in scores.subjects]
     levels = tuple(level for level in listed if level in members)
-    counts = {level: members.count(level) for level in levels}
-    if len(levels) < 2 or min(counts.values()) < 2:
+    if len(levels) < 2 or min(map(members.count, levels)) < 2:
         raise ValueError(
-            f"between: column {name!r} needs two groups or more, with two complete participants "
-            f"in each; it has {counts}"
+            f"between: column {name!r} needs two groups or more, with two complete participants in "
+            f"each, got {members}"
         )
     return levels, np.array([levels.index(group) for group in members])

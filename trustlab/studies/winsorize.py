@@ -1,6 +1,6 @@
 """Winsorizing: outlying values are replaced by an explicit rule, and every change is listed."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +8,7 @@ import pandas as pd
 
 from trustlab.models.checks import one_of, positive
 from trustlab.models.display import Result
-from trustlab.studies.table import labels_of, read_scores
+from trustlab.studies.table import numbers_of, read_scores
 
 # Which values count as outlying, by the name of the rule and its k.
 OUTLIER_RULES = {
@@ -103,7 +103,6 @@ def winsorize(
     outside: str,
     k: float,
     to: str,
-    conditions: Sequence[Hashable] | None = None,
 ) -> Winsorized:
     """
     Replace outlying values, condition by condition, and list every change.
@@ -126,8 +125,6 @@ def winsorize(
     to : {"limit", "next"}
         What an outlying value becomes: the limit itself, or the most extreme value that is not
         outlying.
-    conditions : sequence, optional
-        The conditions to look at; all by default.
 
     Returns
     -------
@@ -137,7 +134,7 @@ def winsorize(
     ------
     ValueError
         If the table is refused (see `repeated_measures`), a rule is unknown or
-        cannot apply to so few or so many equal values, or a condition is unknown.
+        cannot apply to so few or so many equal values.
 
     Examples
     --------
@@ -145,10 +142,11 @@ def winsorize(
     >>> import trustlab as tl
     >>> values = {"subject": range(5), "mode": ["A"] * 5, "error": [1.0, 1.2, 0.9, 1.1, 9.0]}
     >>> frame = pd.concat([pd.DataFrame(values), pd.DataFrame(values).assign(mode="B")])
-    >>> rule = {"outside": "mad", "k": 3.0, "to": "limit", "conditions": ["B"]}
+    >>> rule = {"outside": "mad", "k": 3.0, "to": "limit"}
     >>> tl.winsorize(frame, "error", "mode", "subject", **rule).table()
        subject condition  old       new
-    0        4         B  9.0  1.544781
+    0        4         A  9.0  1.544781
+    1        4         B  9.0  1.544781
     """
     one_of("outside", outside, OUTLIER_RULES)
     one_of("to", to, _TARGETS)
@@ -159,26 +157,19 @@ def winsorize(
             'whole k and to="next"'
         )
     levels = read_scores(data, dv, within, subject).conditions
-    chosen = levels if conditions is None else labels_of("conditions", conditions, 1)
-    if unknown := [label for label in chosen if label not in levels]:
-        raise ValueError(f"conditions: {unknown[0]!r} is none of {list(levels)}")
-    subjects, labels = data[subject].to_numpy(), data[within].tolist()
-    scores = pd.to_numeric(data[dv]).to_numpy(dtype=float, na_value=np.nan).copy()
+    subjects, scores = data[subject].to_numpy(), numbers_of(data[dv], "dv")
     changes, limits = [], []
-    for condition in chosen:
-        rows = np.flatnonzero([label == condition for label in labels] & np.isfinite(scores))
+    for condition in levels:
+        rows = np.flatnonzero((data[within] == condition) & np.isfinite(scores))
         old = scores[rows]
         if old.size < 3 or (outside == "extremes" and 2 * k >= old.size):
-            raise ValueError(
-                f"dv, condition {condition!r}: {old.size} values are too few for this rule"
-            )
+            raise ValueError(f"dv: {old.size} values of {condition!r} are too few for this rule")
         low, high = _limits(old, outside, k).tolist()
         inside = old[(old >= low) & (old <= high)]
-        if not inside.size or not np.isfinite(high - low):
+        if not inside.size:
             raise ValueError(
-                f"dv, condition {condition!r}: by this rule no value lies inside {low:g} to "
-                f"{high:g}; so many values are equal that their spread is 0, or k or the unit does "
-                "not fit"
+                f"dv: by this rule no value of {condition!r} lies inside {low:g} to {high:g}; so "
+                "many are equal that their spread is 0, or k does not fit"
             )
         new = np.clip(old, *((low, high) if to == "limit" else (inside.min(), inside.max())))
         moved = np.flatnonzero(new != old)

@@ -2,25 +2,19 @@
 
 from collections.abc import Iterable
 from decimal import ROUND_HALF_UP, Context, Decimal
-from numbers import Number
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import counted, one_of
-from trustlab.studies.table import mark, same_for_all
+from trustlab.studies.table import mark
 
 # Column of p-values and its name in the sentence.
 _ADJUSTMENTS = {
     "holm": ("p_holm", "Holm-adjusted p"),
     "bonferroni": ("p_bonferroni", "Bonferroni-adjusted p"),
     "none": ("p", "unadjusted p"),
-}
-_CORRECTIONS = {
-    "none": "not corrected",
-    "greenhouse-geisser": "Greenhouse–Geisser corrected",
-    "huynh-feldt": "Huynh–Feldt corrected",
 }
 # Heads of columns and names of parameters; others are written with blanks for underlines.
 _HEADS = {
@@ -35,7 +29,13 @@ _HEADS = {
     "p_hf": "p (Huynh–Feldt)",
     "p_holm": "p (Holm)",
     "p_bonferroni": "p (Bonferroni)",
+    "df1_corrected": "df1",
+    "df2_corrected": "df2",
+    "d_z_low": "d_z, 95% CI low",
+    "d_z_high": "d_z, 95% CI high",
     "eta2_partial": "ηp²",
+    "eta2_partial_low": "ηp², 90% CI low",
+    "eta2_partial_high": "ηp², 90% CI high",
     "eta2_generalized": "ηG²",
     "epsilon_gg": "ε (Greenhouse–Geisser)",
     "epsilon_hf": "ε (Huynh–Feldt)",
@@ -43,7 +43,7 @@ _HEADS = {
     "huynh-feldt": "Huynh–Feldt",
     "human_beta": "human β",
     "robot_beta": "robot β",
-} | {name: name for name in ("d_z", "95% CI of d_z", "TSC_l", "TSC_u")}
+} | {name: name for name in ("d_z", "TSC_l", "TSC_u")}
 # Columns in the unit of what was measured: as many decimals as show their error.
 _ESTIMATES = {"value", "estimate", "mean", "mean_difference", "stderr", "se", "sd"}
 _ESTIMATES |= {"ci_low", "ci_high"}
@@ -113,6 +113,8 @@ def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
         values = frame[name].to_numpy()
         if str(name).startswith(("p_", "mauchly_p")) or name == "p":
             texts = [apa_p(value).removeprefix("p ").removeprefix("= ") for value in values]
+        elif str(name).startswith(("eta2_", "epsilon_")):
+            texts = [*map(share, values)]
         elif str(name).startswith("df") and not (values % 1.0).any():
             texts = [df_text(value) for value in values]
         else:
@@ -166,68 +168,51 @@ def interval(low: float, high: float, digits: int = 2, *, level: float = 95.0) -
     return f"{level:g}% CI [{apa_number(low, digits)}, {apa_number(high, digits)}]"
 
 
-def f_text(row: Any) -> str:
-    """Return F, its p and its effect sizes of a row of `RepeatedMeasures.table`."""
-    df = f"{df_text(row['df1_corrected'])}, {df_text(row['df2_corrected'])}"
+def effect_text(row: Any, end: str = "", alpha: float = 0.05) -> str:
+    """
+    Return "mode was significant, F(2, 22) = 5.31, p = .013 …" of a row of tests; `end` is that of
+    the names of its degrees of freedom and p.
+    """
+    p, df1, df2 = (row[f"{name}{end}"] for name in ("p", "df1", "df2"))
     ends = f"[{share(row['eta2_partial_low'])}, {share(row['eta2_partial_high'])}]"
-    return (
-        f"F({df}) = {apa_number(row['F'])}, {apa_p(row['p_corrected'])}, "
-        f"ηp² = {share(row['eta2_partial'])}, 90% CI {ends}, ηG² = "
-        f"{share(row['eta2_generalized'])}"
+    text = (
+        f"{row['effect']} {'was' if p < alpha else 'was not'} significant, F({df_text(df1)}, "
+        f"{df_text(df2)}) = {apa_number(row['F'])}, {apa_p(p)}, ηp² = "
+        f"{share(row['eta2_partial'])}, 90% CI {ends}"
     )
+    return f"{text}, ηG² = {share(row['eta2_generalized'])}" if "eta2_generalized" in row else text
 
 
 def apa_report(result: Any, adjust: str = "holm") -> str:
-    """Return the sentences of an analysis of variance."""
+    """Return the sentences of an analysis of variance: of one factor with means and pairs."""
     one_of("adjust", adjust, _ADJUSTMENTS)
-    body = _one_way(result, adjust) if result.one_way else _factorial(result)
-    return mark(result.origin) + body + _left_out(result, "cells")
-
-
-def _factorial(result: Any) -> str:
-    """Return the test of every effect."""
-    sentences = []
-    for row in result.table().to_dict("records"):
-        verb = "was" if row["p_corrected"] < result.alpha else "was not"
-        sentences.append(f"{row['effect']} {verb} significant, {f_text(row)}")
-    factors = [len(levels) for levels in (*result.between.values(), *result.within.values())]
+    rows = result.table().to_dict("records")
+    sizes = [len(levels) for levels in (*result.between.values(), *result.within.values())]
+    size = "one-way" if result.one_way else " × ".join(map(str, sizes))
+    rule = in_words(result.correction_rule)
     kind = "mixed" if result.between else "repeated-measures"
-    rule = _CORRECTIONS.get(result.correction_rule, "corrected where sphericity is rejected")
-    return (
-        f"A {' × '.join(map(str, factors))} {kind} ANOVA of {result.dv} (N = {result.n}, degrees "
-        f"of freedom {rule}): {'; '.join(sentences)}."
+    effects = "; ".join(effect_text(row, "_corrected", result.alpha) for row in rows)
+    text = (
+        f"{mark(result.origin)}A {size} {kind} ANOVA of {result.dv} (N = {result.n}, correction of "
+        f"degrees of freedom: {rule}): {effects}."
     )
-
-
-def _one_way(result: Any, adjust: str) -> str:
-    """Return the test of the conditions, sphericity, means and pairs."""
-    (row,) = result.table().to_dict("records")
-    verb = "differed" if row["p_corrected"] < result.alpha else "did not differ"
-    within = str(result.scores.within)
-    of_factor = "" if within.lower() in ("condition", "conditions") else f" of {within}"
-    constant = listed(same_for_all(result.scores))
-    same = f" Every subject had the same score in {constant} (SD = 0)." if constant else ""
-    means = listed(condition_means(result.descriptives()))
-    return (
-        f"A one-way repeated-measures ANOVA (N = {result.n}) showed that {result.dv} {verb} "
-        f"significantly between the {result.k} conditions{of_factor}, {f_text(row)}."
-        f"{_sphericity(row, result.alpha)} By condition: {means}.{same}{_pairs(result, adjust)}"
-    )
+    if result.one_way:
+        means = listed(condition_means(result.descriptives()))
+        text += f"{_sphericity(rows[0], result.alpha)} By condition: {means}."
+        text += _pairs(result, adjust)
+    return text + _left_out(result)
 
 
 def _sphericity(row: dict, alpha: float) -> str:
     if row["df1"] == 1:
         return ""
-    applied = f"degrees of freedom are {_CORRECTIONS[row['correction']]}"
-    if row["correction"] != "none":
-        name = {"greenhouse-geisser": "epsilon_gg", "huynh-feldt": "epsilon_hf"}[row["correction"]]
-        applied += f", ε = {share(row[name])}"
-    if row["mauchly_reason"]:
-        return f" {row['mauchly_reason'].removesuffix('.')}; {applied}."
-    verdict = "was violated" if row["mauchly_p"] < alpha else "was not rejected"
+    if np.isnan(row["mauchly_p"]):
+        return " Mauchly's test of sphericity is not defined."
     return (
-        f" Sphericity {verdict} (Mauchly's W = {share(row['mauchly_w'])}, χ²({row['mauchly_df']}) "
-        f"= {apa_number(row['mauchly_chi2'])}, {apa_p(row['mauchly_p'])}); {applied}."
+        f" Sphericity {'was violated' if row['mauchly_p'] < alpha else 'was not rejected'} "
+        f"(Mauchly's W = {share(row['mauchly_w'])}, χ²({row['mauchly_df']}) = "
+        f"{apa_number(row['mauchly_chi2'])}, {apa_p(row['mauchly_p'])}; Greenhouse–Geisser's ε = "
+        f"{share(row['epsilon_gg'])})."
     )
 
 
@@ -241,36 +226,30 @@ def condition_means(stats: pd.DataFrame) -> list[str]:
 
 
 def _pairs(result: Any, adjust: str) -> str:
-    table = result.pairs()
     column, kind = _ADJUSTMENTS[adjust]
-    tests = f"Paired t-tests ({kind})" if len(table) > 1 else "A paired t-test"
     significant, rest = [], []
-    for row in table.to_dict("records"):
+    for row in result.pairs().to_dict("records"):
         a, b = row["a"], row["b"]
         if row[column] < result.alpha:
-            higher = row["mean_difference"] > 0.0
-            order = f"{a} {'>' if higher else '<'} {b}"
-            if isinstance(a, Number):  # “0.0 > 0.2” would read as arithmetic
-                order = f"{'higher' if higher else 'lower'} at {a} than at {b}"
+            sign = "higher" if row["mean_difference"] > 0.0 else "lower"
             significant.append(
-                f"{order}, t({row['df']}) = {apa_number(row['t'])}, {apa_p(row[column])}, "
-                f"d_z = {apa_number(row['d_z'])}, {interval(row['d_z_low'], row['d_z_high'])}"
+                f"{sign} in {a} than in {b}, t({row['df']}) = {apa_number(row['t'])}, "
+                f"{apa_p(row[column])}, d_z = {apa_number(row['d_z'])}, "
+                f"{interval(row['d_z_low'], row['d_z_high'])}"
             )
         else:
             reason = "no test: one difference" if np.isnan(row["p"]) else apa_p(row[column])
             rest.append(f"{a} and {b} ({reason})")
-    if not significant:
-        return f" {tests} found no significant difference: {listed(rest)}."
-    end = f"; no significant difference between {listed(rest)}" if rest else ""
-    return f" {tests}: {'; '.join(significant)}{end}."
+    found = f" {'; '.join(significant)}." if significant else ""
+    none = f" No significant difference between {listed(rest)}." if rest else ""
+    return f" Paired t-tests ({kind}):{found}{none}"
 
 
-def _left_out(result: Any, missing: str) -> str:
+def _left_out(result: Any) -> str:
     if not result.excluded:
         return ""
-    verb = "was" if len(result.excluded) == 1 else "were"
     people = counted(len(result.excluded), "participant")
-    return f" {people} with missing {missing} {verb} left out ({listed(result.excluded)})."
+    return f" Left out for missing scores: {people} ({listed(result.excluded)})."
 
 
 def apa_pair(result: Any) -> str:
@@ -285,5 +264,5 @@ def apa_pair(result: Any) -> str:
         f"{mark(result.scores.origin)}{result.scores.dv} {verb} between {a} and {b}, "
         f"t({result.df}) = {apa_number(result.t)}, {apa_p(result.p)}, mean difference "
         f"{apa_number(result.mean_difference, digits)}, {difference}, d_z = "
-        f"{apa_number(result.d_z)}, {d_z}.{_left_out(result, 'scores')}"
+        f"{apa_number(result.d_z)}, {d_z}.{_left_out(result)}"
     )
