@@ -13,7 +13,13 @@ from scipy.special import expit
 from trustlab.models.checks import of_class, one_of
 from trustlab.models.display import Result
 from trustlab.trust.dynamics import BASELINES, MODELS
-from trustlab.trust.interface import TrustDynamics, coordinates_of, with_parameters
+from trustlab.trust.interface import (
+    TrustDynamics,
+    coordinates_of,
+    ranges_of,
+    values_at,
+    with_parameters,
+)
 from trustlab.trust.likelihood import log_likelihood, predict
 from trustlab.trust.panel import Panel
 
@@ -114,11 +120,8 @@ class TrustFit(Result):
             that of the parameter's range; where both are, there is no interval, and the note says
             so: such an estimate may differ between processors, and the likelihood does not.
         """
-        ranges = self.model.parameters()
-        _, least, most = np.array(list(ranges.values())).reshape(-1, 3).T
-        low, high = self.ends
-        ends = [with_parameters(type(self.model), x) for x in (low, high)]
-        ci_low, ci_high = (np.array([getattr(end, x) for x in ranges], dtype=float) for end in ends)
+        (least, most), (low, high) = ranges_of(self.model), self.ends
+        ci_low, ci_high = values_at(type(self.model), self.ends)
         is_open = np.isinf(low) & np.isinf(high)
         without = is_open | np.isnan(self.ends).any(axis=0)
         reason: Any = np.where(is_open, "the data leave it open", "its ends were not found")
@@ -126,8 +129,8 @@ class TrustFit(Result):
             reason = "free runs have no likelihood"
         return pd.DataFrame(
             {
-                "parameter": list(ranges),
-                "estimate": np.array([getattr(self.model, x) for x in ranges], dtype=float),
+                "parameter": list(self.model.parameters()),
+                "estimate": values_at(type(self.model), self.coordinates),
                 "ci_low": np.where(without, np.nan, np.where(np.isinf(low), least, ci_low)),
                 "ci_high": np.where(without, np.nan, np.where(np.isinf(high), most, ci_high)),
                 "note": np.where(without, reason, ""),
@@ -206,8 +209,8 @@ def fitted(
     reached = loss(optima)
     # The first that is as good as the best: last bits do not decide.
     coordinates = optima[np.argmax(reached <= reached.min() + ALIKE)]
-    at = with_parameters(chosen, coordinates)
-    model = chosen(**{name: float(getattr(at, name)) for name in at.parameters()})
+    values = values_at(chosen, coordinates).tolist()
+    model = chosen(**dict(zip(chosen.parameters(), values, strict=True)))
     return TrustFit(
         model=model,
         panel=panel,
