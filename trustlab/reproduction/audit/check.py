@@ -1,7 +1,7 @@
 """How a verdict is made: a formula of printed numbers, its range, and what is printed."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from fnmatch import filter as matching
 from itertools import product
 from typing import Any, NamedTuple
@@ -183,7 +183,7 @@ def show(value: float, like: PrintedNumber | None = None, more: int = 0) -> str:
     return f"{value:.{like.decimals + more}f}"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Relation:
     """
     What other printed numbers say of the number `of`, or of all that match it.
@@ -194,6 +194,7 @@ class Relation:
     """
 
     of: str
+    _: KW_ONLY
     note: str = ""
     suffix: str = ""
     quantity: str = ""
@@ -201,8 +202,8 @@ class Relation:
     unless: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Follows(Relation, Formula):
+@dataclass(frozen=True)
+class Follows(Formula, Relation):
     """
     A formula that a printed number follows from.
 
@@ -212,6 +213,7 @@ class Follows(Relation, Formula):
     is given, it says why the formula need not hold exactly, and "not checkable" replaces "differs".
     """
 
+    _: KW_ONLY
     conventions: tuple[Formula, ...] = ()
     explanations: tuple[Formula, ...] = ()
     binding: str = ""
@@ -281,7 +283,7 @@ class Follows(Relation, Formula):
         return ""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Allows(Relation):
     """
     The range, from `least` to `most`, that other printed numbers leave a number.
@@ -339,7 +341,7 @@ def row_within(
     )
 
 
-def _beside(place: str, end: str, numbers: Numbers) -> dict[str, str]:
+def beside(place: str, end: str, numbers: Numbers) -> dict[str, str]:
     """Return the ids of numbers in a place or of a participant by the names that formulas use."""
     starts: tuple[str, ...] = (f"{place}/",)
     if f"{place}/n" in numbers:
@@ -359,8 +361,8 @@ def completed(relation: Follows | Allows, numbers: Numbers) -> Follows | Allows:
     """Return a relation whose formulas say where all their symbols stand."""
     place, _, _ = relation.of.rpartition("/")
     _, _, last = f"{relation.of}{relation.suffix}".rpartition("/")
-    beside = _beside(place, f"/{last}" if last in PARTICIPANTS else "", numbers)
-    if relation.unless in beside:
+    names = beside(place, f"/{last}" if last in PARTICIPANTS else "", numbers)
+    if relation.unless in names:
         raise NotPrintedError(relation.unless)
     fixed = {"k": len(conditions_of(place))} if f"{place}/n" in numbers else {}
 
@@ -371,9 +373,9 @@ def completed(relation: Follows | Allows, numbers: Numbers) -> Follows | Allows:
         return way
 
     if isinstance(relation, Allows):
-        ends = formula(relation.least, beside), formula(relation.most, beside)
+        ends = formula(relation.least, names), formula(relation.most, names)
         return replace(relation, least=ends[0], most=ends[1])
-    first = formula(relation, beside)
+    first = formula(relation, names)
     return replace(
         first,
         conventions=tuple(formula(way, first.ids) for way in relation.conventions),
