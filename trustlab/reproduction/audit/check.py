@@ -15,6 +15,8 @@ LETTERS = {"epsilon": "ε", "chi2": "χ2", "beta": "β"}
 
 VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
 
+INSIDE = 1000  # points inside a box of rounding
+
 Numbers = Mapping[str, PrintedNumber]
 Span = tuple[float, float, float]
 NOTHING = (np.nan, np.nan, np.nan)
@@ -156,13 +158,11 @@ def reach(compute: Callable, middle: Mapping[str, float], half: Mapping[str, flo
     input) is passed over.
     """
     names = [name for name in middle if half.get(name, 0.0) > 0.0]
-    # All corners, and the middles of edges and faces, where a function that is not monotone may
-    # turn; of many inputs random points, the same at every call, take the place of the middles.
-    few = len(names) <= 6
-    points = np.array(list(product((0.0, -1.0, 1.0) if few else (-1.0, 1.0), repeat=len(names))))
-    if not few:
-        inside = np.random.default_rng(0).uniform(-1.0, 1.0, (3000, len(names)))
-        points = np.concatenate([np.zeros((1, len(names))), points, inside])
+    # The middle, all corners, and points inside, the same at every call, where a function that is
+    # not monotone may turn.
+    corners = np.array(list(product((-1.0, 1.0), repeat=len(names))))
+    inside = np.random.default_rng(0).uniform(-1.0, 1.0, (INSIDE, len(names)))
+    points = np.concatenate([np.zeros((1, len(names))), corners, inside])
     values = {name: np.full(len(points), float(value)) for name, value in middle.items()}
     for name, offsets in zip(names, points.T, strict=True):
         values[name] = middle[name] + half[name] * offsets
