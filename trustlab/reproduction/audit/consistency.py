@@ -4,6 +4,7 @@ means, SDs, whole points and sample sizes; statistics that two studies share.
 """
 
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping
 from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction
@@ -51,6 +52,8 @@ NEAREST = 10  # pairs of thresholds that are tried
 MEASURES = published_facts("measures")
 TLX_RULES = {rule: Fraction(points) for rule, points in MEASURES["tlx_rules"].items()}
 MOST_ITEMS = 40
+# The id of a mean: table, condition and measure; or study and condition.
+MEAN = re.compile(r"(table_2\.[45]|table_3\.1)/(\w+)/(\w+)_mean|(.+)/mean\.(\w+)")
 
 
 class JointCheck(NamedTuple):
@@ -227,12 +230,10 @@ def _measures(numbers: Numbers) -> dict[str, dict[str, str]]:
     """Return, per measure, condition to id of its mean."""
     measures: dict[str, dict[str, str]] = {}
     for id in numbers:
-        table, _, rest = id.partition("/")
-        if table in ("table_2.4", "table_2.5", "table_3.1") and id.endswith("_mean"):
-            condition, column = rest.split("/")
-            measures.setdefault(f"{table}/{column.removesuffix('_mean')}", {})[condition] = id
-        elif rest.startswith("mean."):
-            measures.setdefault(table, {})[rest.removeprefix("mean.")] = id
+        if cell := MEAN.fullmatch(id):
+            table, in_table, column, study, condition = cell.groups()
+            measure = study or f"{table}/{column}"
+            measures.setdefault(measure, {})[condition or in_table] = id
     return measures
 
 
@@ -412,11 +413,7 @@ def _restated(id: str, first: str, where: str, numbers: Numbers) -> Row:
     reason = f"{where} has {source.printed}."
     if not same:
         rounded = there.quantize(here, ROUND_HALF_UP)
-        neither = "neither is the other one rounded"
-        why = f"{source.printed} rounds to {rounded}" if rounded != there else neither
-        reason = (
-            f"{reason[:-1]}, here {number.printed} is printed: one of the two is wrong, as {why}."
-        )
+        reason += f" Here it would be {rounded}: one of the two is wrong."
     return row_about(
         number,
         reason,
