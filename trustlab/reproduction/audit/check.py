@@ -99,10 +99,6 @@ class Values:
         values = [self._value(x, id) for x, id in named.items()]
         return values[0] if symbol in named else np.stack(values)
 
-    def named(self, *symbols: str) -> dict[str, Any]:
-        """Return the values of several symbols by name."""
-        return {symbol: getattr(self, symbol) for symbol in symbols}
-
 
 @dataclass(frozen=True)
 class Formula:

@@ -10,7 +10,8 @@ from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction
 from itertools import combinations
 from statistics import mode
-from typing import NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import optimize, stats
@@ -67,11 +68,12 @@ class JointCheck(NamedTuple):
     numbers: Numbers
     inputs: Mapping[str, str]
     outputs: Mapping[str, str]
-    readings: tuple[Callable[[dict], dict], ...]
+    readings: tuple[Callable[[Any], dict], ...]
 
-    def at_printed(self) -> dict[str, np.ndarray]:
-        """Return the inputs as printed."""
-        return {name: np.asarray(self.numbers[id].value) for name, id in self.inputs.items()}
+    def at_printed(self, **changes: np.ndarray) -> SimpleNamespace:
+        """Return the inputs as printed, but for changes."""
+        printed = {name: np.asarray(self.numbers[id].value) for name, id in self.inputs.items()}
+        return SimpleNamespace(**printed | changes)
 
     def misfit(self, computed: Mapping[str, np.ndarray], names: tuple[str, ...] = ()) -> np.ndarray:
         """Return by how many half units the worst output lies beyond its rounding, or 0."""
@@ -96,7 +98,7 @@ class JointCheck(NamedTuple):
             def miss(point: np.ndarray, compute: Callable = compute) -> np.ndarray:
                 values = dict(zip(free, middle[:, None] + half[:, None] * point, strict=True))
                 values |= {name: np.full(point.shape[1], value) for name, value in fixed.items()}
-                return self.misfit(compute(values))
+                return self.misfit(compute(SimpleNamespace(**values)))
 
             # A global search: the misfit has steps, as dwell times are whole numbers, and is flat
             # where all outputs fit.
@@ -153,7 +155,7 @@ def _finer_rate(check: JointCheck) -> str:
     rate, (compute, _) = check.numbers[check.inputs["a_pr"]], check.readings
     for k in sorted(range(-5, 6), key=abs):
         a_pr = rate.value + k * 10.0 ** -(rate.decimals + 1)
-        computed = compute(check.at_printed() | {"a_pr": np.asarray(a_pr)})
+        computed = compute(check.at_printed(a_pr=np.asarray(a_pr)))
         if check.misfit(computed, ("TSC_lb", "TSC_ub")) == 0.0:
             return (
                 f"Both limits follow from a_pr = {a_pr:.{rate.decimals + 1}f} (printed: "
@@ -166,8 +168,7 @@ def _other_thresholds(check: JointCheck) -> str:
     """Say which thresholds, of two decimals, give the column, if any do."""
     grid = np.arange(-100, 101) / 100.0
     lower, upper = (x.ravel() for x in np.meshgrid(grid, grid))
-    thresholds = {"TSC_l": lower, "TSC_u": upper}
-    away = check.misfit(bounds(check.at_printed() | thresholds), BOUNDS)
+    away = check.misfit(bounds(check.at_printed(TSC_l=lower, TSC_u=upper)), BOUNDS)
     away[lower >= upper] = np.inf
     first = check._replace(readings=check.readings[:1])
     for i in np.argsort(away, kind="stable")[:NEAREST]:
@@ -186,13 +187,13 @@ def _rows_of_participant(p: str, numbers: Numbers) -> Iterator[Row]:
     fit by themselves.
     """
     ids = beside("", f"/{p}", numbers)
-    gain = {"b_pr": numbers[ids["b_pr"]].value}
+    gain = numbers[ids["b_pr"]].value
 
     def where(*names: str) -> dict[str, str]:
         return {name: ids[name] for name in names}
 
     # b_pr as printed, then by (2.3).
-    readings: tuple[Callable[[dict], dict], ...] = (lambda v: limits(v | gain), limits)
+    readings: tuple[Callable[[Any], dict], ...] = (lambda v: limits(v, gain), limits)
     check = JointCheck(numbers, where(*LIMIT_INPUTS), where(*LIMITS), readings)
     if related(ids["TSC_ub"], numbers).row(numbers).verdict == "differs":
         row = check.described("not checkable", "TSC_ub alone does not follow; see its own row.")
@@ -201,12 +202,12 @@ def _rows_of_participant(p: str, numbers: Numbers) -> Iterator[Row]:
     yield row
     inputs, outputs = where(*RATE_INPUTS), where(*BOUNDS)
     # c of (2.20) as it is, then as b_pr P_h/(1 − a_pr) with b_pr as printed.
-    readings = (bounds, lambda v: bounds(v | gain))
+    readings = (bounds, lambda v: bounds(v, gain))
     if row.verdict == "within rounding":
         inputs, outputs = inputs | where("delta_P_h"), outputs | where(*LIMITS)
         readings = (
-            lambda v: bounds(v) | limits(v | gain),
-            lambda v: bounds(v | gain) | limits(v | gain),
+            lambda v: bounds(v) | limits(v, gain),
+            lambda v: bounds(v, gain) | limits(v, gain),
         )
     yield JointCheck(numbers, inputs, outputs, readings).row(_other_thresholds)
 

@@ -18,7 +18,11 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
+from trustlab.allocation.bounds import (
+    PerformanceRange,
+    performance_as_printed,
+    utilization_as_printed,
+)
 from trustlab.allocation.limits import limits_as_printed
 from trustlab.models.tsc import TscConstants, gain_of_human_performance, performance_weights
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, claims
@@ -38,60 +42,64 @@ AT_LEAST_0 = (0.0, INFINITE)
 
 PERFORMANCE = ("P_r_min", "P_r_max", "P_h_min", "P_h_max")
 LIMIT_INPUTS = (*PERFORMANCE, "a_pr", "delta_P_h")
-RANGE_INPUTS = (*PERFORMANCE, "delta_TSC", "TSC_l", "TSC_u")
 RATE_INPUTS = (*PERFORMANCE, "a_pr", "a_r", "delta_TSC", "TSC_l", "TSC_u")
 BOUNDS = ("P_rl", "P_ru", "r_l", "r_u")
 
 
-def robot_gain(v: dict) -> np.ndarray:
-    """Return b_pr of (2.3) from a_pr, P_r_min, P_r_max and P_h_max."""
-    return gain_of_human_performance(v["a_pr"], v["P_r_min"], v["P_r_max"], v["P_h_max"])
+def robot_gain(v: Any) -> np.ndarray:
+    """Return b_pr of (2.3)."""
+    return gain_of_human_performance(v.a_pr, v.P_r_min, v.P_r_max, v.P_h_max)
 
 
-def constants(v: dict) -> TscConstants:
-    """Return the constants at printed parameters; b_pr of (2.3) where it is not among them."""
-    a_T, b_T = performance_weights(*(v[name] for name in PERFORMANCE))
+def weights(v: Any) -> tuple[Any, Any]:
+    """Return a_T and b_T."""
+    return performance_weights(v.P_r_min, v.P_r_max, v.P_h_min, v.P_h_max)
+
+
+def constants(v: Any, a_pr: Any, b_pr: Any) -> TscConstants:
+    """Return the constants at printed parameters."""
+    a_T, b_T = weights(v)
     return TscConstants(
-        a_r=v.get("a_r", np.nan),
-        beta=np.nan,  # no limit and no bound depends on it
-        p_h_min=v["P_h_min"],
-        p_h_max=v["P_h_max"],
-        a_pr=v["a_pr"],
-        b_pr=v.get("b_pr", robot_gain(v)),
-        p_r_min=v["P_r_min"],
-        p_r_max=v["P_r_max"],
+        a_r=np.nan,  # no limit and no bound on performance depends on a_r and β
+        beta=np.nan,
+        p_h_min=v.P_h_min,
+        p_h_max=v.P_h_max,
+        a_pr=a_pr,
+        b_pr=b_pr,
+        p_r_min=v.P_r_min,
+        p_r_max=v.P_r_max,
         a_T=a_T,
         b_T=b_T,
     )
 
 
-def limits(v: dict) -> dict[str, np.ndarray]:
-    """Return TSC_lb and TSC_ub, (2.9)-(2.10), and b_pr of (2.3)."""
-    lower, upper = limits_as_printed(constants(v), v["delta_P_h"])
-    return {"TSC_lb": lower, "TSC_ub": upper, "b_pr": robot_gain(v)}
+def limits(v: Any, b_pr: np.ndarray | float | None = None) -> dict[str, np.ndarray]:
+    """Return TSC_lb and TSC_ub, (2.9)-(2.10), and b_pr of (2.3), used unless one is given."""
+    gain = robot_gain(v)
+    tsc = constants(v, v.a_pr, gain if b_pr is None else b_pr)
+    lower, upper = limits_as_printed(tsc, v.delta_P_h)
+    return {"TSC_lb": lower, "TSC_ub": upper, "b_pr": gain}
 
 
-def bounds(v: dict) -> dict[str, np.ndarray]:
+def performance(v: Any, a_pr: Any = np.nan, rise: Any = None) -> PerformanceRange:
+    """Return P_rl, P_ru (2.15), and dwell times, which alone need a_pr and c of (2.20), `rise`."""
+    tsc = constants(v, a_pr, gain_of_human_performance(a_pr, v.P_r_min, v.P_r_max, v.P_h_max))
+    return performance_as_printed(tsc, v.TSC_l, v.TSC_u, v.delta_TSC, rise)
+
+
+def bounds(v: Any, b_pr: float | None = None) -> dict[str, np.ndarray]:
     """
     Return P_rl, P_ru (2.15) and r_l, r_u (2.33).
 
-    With b_pr among the parameters, c of (2.20) is b_pr P_h/(1 − a_pr); P_rl and P_ru need neither
-    a_pr nor a_r.
+    With a b_pr, c of (2.20) is b_pr P_h/(1 − a_pr).
     """
-    v = {"a_pr": np.nan, "a_r": np.nan} | v
-    rise = v["b_pr"] * v["P_h_max"] / (1.0 - v["a_pr"]) if "b_pr" in v else None
-    p = performance_as_printed(constants(v), v["TSC_l"], v["TSC_u"], v["delta_TSC"], rise)
+    rise = None if b_pr is None else b_pr * v.P_h_max / (1.0 - v.a_pr)
+    p = performance(v, v.a_pr, rise)
     r = utilization_as_printed(
-        v["a_r"], p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous_high
+        v.a_r, p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous_high
     )
     r_low, r_high = (np.where(p.p_r_low < p.p_r_high, x, np.nan) for x in r)
     return dict(zip(BOUNDS, (p.p_r_low, p.p_r_high, r_low, r_high), strict=True))
-
-
-def bound(name: str) -> Callable[[Any], np.ndarray]:
-    """Return how one of the four bounds is computed."""
-    symbols = RATE_INPUTS if name.startswith("r") else RANGE_INPUTS
-    return lambda v: bounds(v.named(*symbols))[name]
 
 
 def chi2_of_epsilon(
@@ -113,14 +121,9 @@ def chi2_of_epsilon(
         return -mauchly_factor(n, k) * np.log(w)
 
 
-def gain(v: Any) -> np.ndarray:
-    """Return b_pr by (2.3)."""
-    return robot_gain(v.named("a_pr", "P_r_min", "P_r_max", "P_h_max"))
-
-
-def upper_limit(v: Any, *gain: str) -> np.ndarray:
-    """Return TSC_ub by (2.10), with b_pr where it is named, otherwise by (2.3)."""
-    return limits(v.named(*LIMIT_INPUTS, *gain))["TSC_ub"]
+def upper_limit(v: Any) -> np.ndarray:
+    """Return TSC_ub by (2.10), with b_pr as printed."""
+    return limits(v, v.b_pr)["TSC_ub"]
 
 
 def step(v: Any, sign: float = 1.0) -> np.ndarray:
@@ -128,7 +131,7 @@ def step(v: Any, sign: float = 1.0) -> np.ndarray:
     Return the largest step of TSC (Remark 3), or with −1 its expression as it stands, whose terms
     have opposite signs.
     """
-    a_T, b_T = performance_weights(*v.named(*PERFORMANCE).values())
+    a_T, b_T = weights(v)
     return np.abs(a_T * v.delta_P_r + sign * b_T * v.delta_P_h)
 
 
@@ -185,7 +188,7 @@ def mean_of(row: str) -> Formula:
 
 def lower_limit(v: Any) -> np.ndarray:
     """Return TSC_lb by (2.9)."""
-    return limits(v.named(*LIMIT_INPUTS))["TSC_lb"]
+    return limits(v)["TSC_lb"]
 
 
 def within_limits(of: str, binding: str, where: Mapping[str, str] = MappingProxyType({})) -> Allows:
@@ -193,7 +196,7 @@ def within_limits(of: str, binding: str, where: Mapping[str, str] = MappingProxy
     return Allows(
         of,
         Formula("TSC_lb (2.9)", lower_limit, ids=where),
-        Formula("TSC_ub (2.10)", lambda v: upper_limit(v, "b_pr"), ids=where, as_printed=("b_pr",)),
+        Formula("TSC_ub (2.10)", upper_limit, ids=where, as_printed=("b_pr",)),
         binding=binding,
     )
 
@@ -207,7 +210,7 @@ FIVE = {"x": "./[1-5]"}
 
 MODELS: tuple[Follows | Allows, ...] = (
     Follows("*/b_r*", "1 − a_r", lambda v: 1 - v.a_r),
-    Follows("*/b_pr*", "(1 − a_pr)(P_r_max − P_r_min)/P_h_max", gain),
+    Follows("*/b_pr*", "(1 − a_pr)(P_r_max − P_r_min)/P_h_max", robot_gain),
     Follows(
         "table_2.1/delta_TSC/*",
         STEP,
@@ -235,16 +238,20 @@ MODELS: tuple[Follows | Allows, ...] = (
     Follows(
         "table_2.1/TSC_ub/*",
         UPPER,
-        lambda v: upper_limit(v, "b_pr"),
+        upper_limit,
         "b_pr as printed",
         as_printed=("b_pr",),  # (2.3) ties it to the other parameters
         conventions=(
-            Formula(UPPER, upper_limit, "b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb"),
+            Formula(
+                UPPER,
+                lambda v: limits(v)["TSC_ub"],
+                "b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb",
+            ),
         ),
         explanations=tuple(
             Formula(
                 UPPER,
-                lambda v: upper_limit(v, "b_pr"),
+                upper_limit,
                 f"the b_pr of participant {other} was used",
                 {"b_pr": f"table_2.1/b_pr/{other}"},
                 ("b_pr",),
@@ -266,14 +273,10 @@ MODELS: tuple[Follows | Allows, ...] = (
         ZERO,
         Formula("(1 − a_pr)(P_r_max − P_r_min)", lambda v: (1 - v.a_pr) * (v.P_r_max - v.P_r_min)),
     ),
-    *(
-        Follows(
-            f"table_2.2/{name}/*",
-            f"{name} of {'(2.33)' if name.startswith('r') else '(2.15)'}",
-            bound(name),
-        )
-        for name in BOUNDS
-    ),
+    Follows("table_2.2/P_rl/*", "P_rl of (2.15)", lambda v: performance(v).p_r_low),
+    Follows("table_2.2/P_ru/*", "P_ru of (2.15)", lambda v: performance(v).p_r_high),
+    Follows("table_2.2/r_l/*", "r_l of (2.33)", lambda v: bounds(v)["r_l"]),
+    Follows("table_2.2/r_u/*", "r_u of (2.33)", lambda v: bounds(v)["r_u"]),
 )
 
 
