@@ -290,13 +290,8 @@ def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
     side = np.repeat([-1.0, 1.0], centre.size)
     held = np.eye(centre.size, dtype=bool)[place]
     least, _, curvature = derivatives(loss, centre[None])
-    covariance = np.linalg.inv(definite(curvature[0]))
-    variance = np.diag(covariance)
+    variance = np.diag(np.linalg.inv(definite(curvature[0])))
     distance = np.minimum(FALL * np.sqrt(variance), 1.0)[place]
-    # How the others change with a coordinate while the loss is quadratic; those that it leaves open
-    # stay about where they are.
-    along = (covariance / variance).T[place] * distance[:, None]
-    along = np.clip(along, -1.0, 1.0) / distance[:, None]
     ends = np.full(place.size, np.nan)
     x = np.tile(centre, (place.size, 1))
     rows = np.arange(place.size)
@@ -304,8 +299,7 @@ def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
     reached = np.zeros(place.size)
     for _ in range(ROUNDS):
         at = np.clip(centre[place] + side * distance, -EDGE, EDGE)[rows]
-        change = at - x[rows, place[rows]]
-        x[rows] += change[:, None] * along[rows]
+        x[rows, place[rows]] = at
         x[rows] = optima_from(loss, x[rows], held[rows], rounds=4, still=0.05)
         fall = np.sqrt(2.0 * np.maximum(loss(x[rows]) - least, 1e-12))
         settled = np.abs(fall - before[rows]) < NEAR
