@@ -13,7 +13,13 @@ from scipy.special import expit
 from trustlab.models.checks import of_class, one_of
 from trustlab.models.display import Result
 from trustlab.trust.dynamics import BASELINES, MODELS
-from trustlab.trust.interface import TrustDynamics, coordinates_of, with_parameters
+from trustlab.trust.interface import (
+    TrustDynamics,
+    coordinates_of,
+    ranges_of,
+    values_at,
+    with_parameters,
+)
 from trustlab.trust.likelihood import log_likelihood, predict
 from trustlab.trust.panel import Panel
 
@@ -114,11 +120,8 @@ class TrustFit(Result):
             that of the parameter's range; where both are, there is no interval, and the note says
             so: such an estimate may differ between processors, and the likelihood does not.
         """
-        ranges = self.model.parameters()
-        _, least, most = np.array(list(ranges.values())).reshape(-1, 3).T
-        low, high = self.ends
-        ends = [with_parameters(type(self.model), x) for x in (low, high)]
-        ci_low, ci_high = (np.array([getattr(end, x) for x in ranges], dtype=float) for end in ends)
+        (least, most), (low, high) = ranges_of(self.model), self.ends
+        ci_low, ci_high = values_at(type(self.model), self.ends)
         is_open = np.isinf(low) & np.isinf(high)
         without = is_open | np.isnan(self.ends).any(axis=0)
         reason: Any = np.where(is_open, "the data leave it open", "its ends were not found")
@@ -126,8 +129,8 @@ class TrustFit(Result):
             reason = "free runs have no likelihood"
         return pd.DataFrame(
             {
-                "parameter": list(ranges),
-                "estimate": np.array([getattr(self.model, x) for x in ranges], dtype=float),
+                "parameter": list(self.model.parameters()),
+                "estimate": values_at(type(self.model), self.coordinates),
                 "ci_low": np.where(without, np.nan, np.where(np.isinf(low), least, ci_low)),
                 "ci_high": np.where(without, np.nan, np.where(np.isinf(high), most, ci_high)),
                 "note": np.where(without, reason, ""),
@@ -206,8 +209,8 @@ def fitted(
     reached = loss(optima)
     # The first that is as good as the best: last bits do not decide.
     coordinates = optima[np.argmax(reached <= reached.min() + ALIKE)]
-    at = with_parameters(chosen, coordinates)
-    model = chosen(**{name: float(getattr(at, name)) for name in at.parameters()})
+    values = values_at(chosen, coordinates).tolist()
+    model = chosen(**dict(zip(chosen.parameters(), values, strict=True)))
     return TrustFit(
         model=model,
         panel=panel,
@@ -287,13 +290,8 @@ def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
     side = np.repeat([-1.0, 1.0], centre.size)
     held = np.eye(centre.size, dtype=bool)[place]
     least, _, curvature = derivatives(loss, centre[None])
-    covariance = np.linalg.inv(definite(curvature[0]))
-    variance = np.diag(covariance)
+    variance = np.diag(np.linalg.inv(definite(curvature[0])))
     distance = np.minimum(FALL * np.sqrt(variance), 1.0)[place]
-    # How the others change with a coordinate while the loss is quadratic; those that it leaves open
-    # stay about where they are.
-    along = (covariance / variance).T[place] * distance[:, None]
-    along = np.clip(along, -1.0, 1.0) / distance[:, None]
     ends = np.full(place.size, np.nan)
     x = np.tile(centre, (place.size, 1))
     rows = np.arange(place.size)
@@ -301,8 +299,7 @@ def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
     reached = np.zeros(place.size)
     for _ in range(ROUNDS):
         at = np.clip(centre[place] + side * distance, -EDGE, EDGE)[rows]
-        change = at - x[rows, place[rows]]
-        x[rows] += change[:, None] * along[rows]
+        x[rows, place[rows]] = at
         x[rows] = optima_from(loss, x[rows], held[rows], rounds=4, still=0.05)
         fall = np.sqrt(2.0 * np.maximum(loss(x[rows]) - least, 1e-12))
         settled = np.abs(fall - before[rows]) < NEAR

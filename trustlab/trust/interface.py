@@ -304,18 +304,27 @@ class TrustDynamics:
         return self.rating(belief).mean
 
 
-def with_parameters(model: type[TrustDynamics], coordinates: np.ndarray) -> TrustDynamics:
+def ranges_of(model: TrustDynamics | type[TrustDynamics]) -> np.ndarray:
+    """Return the least and greatest values of a model's parameters, shape (2, parameters)."""
+    return np.array(list(model.parameters().values())).reshape(-1, 3).T[1:]
+
+
+def values_at(model: type[TrustDynamics], coordinates: np.ndarray) -> np.ndarray:
     """
-    Return a model at coordinates without bounds, shape (…, parameters).
+    Return a model's parameters at coordinates without bounds, shape (…, parameters).
 
     A coordinate is the log odds within a finite range, and the logarithm of the distance from the
     least value otherwise. Coordinates are clipped, so that no parameter reaches its bound.
     """
-    values = {}
-    for i, (name, (_, low, high)) in enumerate(model.parameters().items()):
-        x = np.clip(coordinates[..., i], -14.0, 14.0)
-        finite = np.isfinite(high)
-        values[name] = low + ((high - low) * special.expit(x) if finite else np.exp(x))
+    low, high = ranges_of(model)
+    x = np.clip(coordinates, -14.0, 14.0)
+    return low + np.where(np.isfinite(high), (high - low) * special.expit(x), np.exp(x))
+
+
+def with_parameters(model: type[TrustDynamics], coordinates: np.ndarray) -> TrustDynamics:
+    """Return a model at coordinates without bounds, shape (…, parameters)."""
+    rows = np.moveaxis(values_at(model, coordinates), -1, 0)
+    values = dict(zip(model.parameters(), rows, strict=True))
     # Their ranges hold by construction: checks are for what a user types.
     made = model.__new__(model)
     made.__dict__.update({item.name: item.default for item in fields(model)} | values)
@@ -323,14 +332,10 @@ def with_parameters(model: type[TrustDynamics], coordinates: np.ndarray) -> Trus
 
 
 def coordinates_of(model: TrustDynamics) -> np.ndarray:
-    """Return the coordinates of a model, as `with_parameters` takes them."""
-    coordinates = []
-    for name, (_, low, high) in model.parameters().items():
-        value = np.asarray(getattr(model, name), dtype=float)
-        if np.isfinite(high):
-            coordinates.append(
-                special.logit(np.clip((value - low) / (high - low), MARGIN, 1 - MARGIN))
-            )
-        else:
-            coordinates.append(np.log(np.maximum(value - low, MARGIN)))
-    return np.stack(np.broadcast_arrays(*coordinates), axis=-1) if coordinates else np.zeros(0)
+    """Return the coordinates of a model, as `values_at` takes them."""
+    low, high = ranges_of(model)
+    values = np.array([getattr(model, name) for name in model.parameters()], dtype=float)
+    share = np.clip((values - low) / (high - low), MARGIN, 1 - MARGIN)
+    return np.where(
+        np.isfinite(high), special.logit(share), np.log(np.maximum(values - low, MARGIN))
+    )

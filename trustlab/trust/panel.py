@@ -128,18 +128,15 @@ def panel_from_table(
             raise ValueError(f"table has no column {name!r} (there are {', '.join(table)})")
     span = positive("high - low", high - low)
     # People stay in the order of the table, their trials are put in order.
-    first = table.assign(place=pd.factorize(table["person"])[0])
-    table = first.sort_values(["place", "trial"], kind="stable")
-    number = table.groupby("place").cumcount().to_numpy()
-    row, people = pd.factorize(table["person"])
-
-    def grid(column: pd.Series) -> np.ndarray:
-        """Return a column in rows of people; NaN where a person has no such trial."""
-        values = np.full((len(people), int(number.max()) + 1), np.nan)
-        values[row, number] = column
-        return values
-
-    ratings = grid((table["rating"].astype(float) - low) / span)
+    table = table.assign(place=pd.factorize(table["person"])[0])
+    table = table.sort_values(["place", "trial"], kind="stable", ignore_index=True)
+    number = table.groupby("place").cumcount().rename("number")
+    # A signal that is not in the table, or missing there, has its usual value.
+    signals = table.reindex(columns=["rating", *SIGNALS]).astype(float)
+    signals = signals.fillna(Event()._asdict())
+    # Rows of people; NaN where a person has no such trial.
+    wide = signals.set_index([table["place"], number]).unstack()  # noqa: PD010 (no repeats)
+    ratings = (wide["rating"].to_numpy() - low) / span
     outside = (ratings < 0.0) | (ratings > 1.0)
     if outside.any():
         raise ValueError(
@@ -147,18 +144,12 @@ def panel_from_table(
             "are its ends"
         )
     array_between("p_r", table["p_r"].to_numpy(dtype=float)[number > 0], 0.0, 1.0, "performance")
-    # A signal that is not in the table, or missing there, has its usual value.
-    complete = table.assign(**{name: np.nan for name in SIGNALS if name not in table})
-    signals = [
-        grid(complete[name].astype(float).fillna(usual))[:, 1:]
-        for name, usual in Event()._asdict().items()
-    ]
     if resolution is None:
         levels = np.unique(np.round(ratings[np.isfinite(ratings)], 9))
         resolution = float(np.diff(levels).min()) if levels.size > 1 else 0.01
     return Panel(
-        tuple(people),
-        Event(*signals),
+        tuple(table["person"].unique()),
+        Event(*(wide[name].to_numpy()[:, 1:] for name in SIGNALS)),
         ratings,
         positive("resolution", resolution),
         source,

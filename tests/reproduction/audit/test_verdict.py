@@ -49,7 +49,7 @@ def number(id, text):
 def verdict(printed, conventions=(), explanations=(), **more):
     numbers = {id: number(id, text) for id, text in {"a": "2.0", "b": "3.0", "x": printed}.items()}
     more |= {"conventions": conventions, "explanations": explanations}
-    product = Follows("a b", lambda v: v.a * v.b, ids={"a": "a", "b": "b"}, of="x", **more)
+    product = Follows("x", "a b", lambda v: v.a * v.b, ids={"a": "a", "b": "b"}, **more)
     return product.row(numbers)
 
 

@@ -208,12 +208,11 @@ def _changed(numbers: Mapping[str, PrintedNumber], id: str, text: str) -> Printe
     if id not in numbers:
         meant = did_you_mean(id, numbers) if isinstance(id, str) else ""
         raise ValueError(f"no printed number has the id {shown(id)}{meant} (audit() lists all ids)")
-    if not isinstance(text, str) or not text.strip():
+    changed = replace(numbers[id], printed=str(text).strip())
+    is_number = math.isfinite(changed.value) or not math.isfinite(numbers[id].value)
+    if not isinstance(text, str) or not is_number:
         raise ValueError(
-            f"the change of {id!r} must be a text as printed, for example '0.390', got "
-            f"{shown(text)}"
+            f"the change of {id!r} must be a number as printed, in quotes, for example '0.390', "
+            f"got {shown(text)}"
         )
-    changed = replace(numbers[id], printed=text.strip())
-    if math.isfinite(numbers[id].value) and not math.isfinite(changed.value):
-        raise ValueError(f"the change of {id!r} must be a number as printed, got {shown(text)}")
     return changed

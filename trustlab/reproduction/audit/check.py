@@ -1,7 +1,7 @@
 """How a verdict is made: a formula of printed numbers, its range, and what is printed."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from fnmatch import filter as matching
 from itertools import product
 from typing import Any, NamedTuple
@@ -14,6 +14,8 @@ from trustlab.reproduction.audit.catalogue import PARTICIPANTS, PrintedNumber, c
 LETTERS = {"epsilon": "ε", "chi2": "χ2", "beta": "β"}
 
 VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
+
+INSIDE = 1000  # points inside a box of rounding
 
 Numbers = Mapping[str, PrintedNumber]
 Span = tuple[float, float, float]
@@ -97,10 +99,6 @@ class Values:
         values = [self._value(x, id) for x, id in named.items()]
         return values[0] if symbol in named else np.stack(values)
 
-    def named(self, *symbols: str) -> dict[str, Any]:
-        """Return the values of several symbols by name."""
-        return {symbol: getattr(self, symbol) for symbol in symbols}
-
 
 @dataclass(frozen=True)
 class Formula:
@@ -156,13 +154,11 @@ def reach(compute: Callable, middle: Mapping[str, float], half: Mapping[str, flo
     input) is passed over.
     """
     names = [name for name in middle if half.get(name, 0.0) > 0.0]
-    # All corners, and the middles of edges and faces, where a function that is not monotone may
-    # turn; of many inputs random points, the same at every call, take the place of the middles.
-    few = len(names) <= 6
-    points = np.array(list(product((0.0, -1.0, 1.0) if few else (-1.0, 1.0), repeat=len(names))))
-    if not few:
-        inside = np.random.default_rng(0).uniform(-1.0, 1.0, (3000, len(names)))
-        points = np.concatenate([np.zeros((1, len(names))), points, inside])
+    # The middle, all corners, and points inside, the same at every call, where a function that is
+    # not monotone may turn.
+    corners = np.array(list(product((-1.0, 1.0), repeat=len(names))))
+    inside = np.random.default_rng(0).uniform(-1.0, 1.0, (INSIDE, len(names)))
+    points = np.concatenate([np.zeros((1, len(names))), corners, inside])
     values = {name: np.full(len(points), float(value)) for name, value in middle.items()}
     for name, offsets in zip(names, points.T, strict=True):
         values[name] = middle[name] + half[name] * offsets
@@ -183,7 +179,7 @@ def show(value: float, like: PrintedNumber | None = None, more: int = 0) -> str:
     return f"{value:.{like.decimals + more}f}"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Relation:
     """
     What other printed numbers say of the number `of`, or of all that match it.
@@ -194,6 +190,7 @@ class Relation:
     """
 
     of: str
+    _: KW_ONLY
     note: str = ""
     suffix: str = ""
     quantity: str = ""
@@ -201,8 +198,8 @@ class Relation:
     unless: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Follows(Relation, Formula):
+@dataclass(frozen=True)
+class Follows(Formula, Relation):
     """
     A formula that a printed number follows from.
 
@@ -212,6 +209,7 @@ class Follows(Relation, Formula):
     is given, it says why the formula need not hold exactly, and "not checkable" replaces "differs".
     """
 
+    _: KW_ONLY
     conventions: tuple[Formula, ...] = ()
     explanations: tuple[Formula, ...] = ()
     binding: str = ""
@@ -281,7 +279,7 @@ class Follows(Relation, Formula):
         return ""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Allows(Relation):
     """
     The range, from `least` to `most`, that other printed numbers leave a number.
@@ -339,7 +337,7 @@ def row_within(
     )
 
 
-def _beside(place: str, end: str, numbers: Numbers) -> dict[str, str]:
+def beside(place: str, end: str, numbers: Numbers) -> dict[str, str]:
     """Return the ids of numbers in a place or of a participant by the names that formulas use."""
     starts: tuple[str, ...] = (f"{place}/",)
     if f"{place}/n" in numbers:
@@ -359,8 +357,8 @@ def completed(relation: Follows | Allows, numbers: Numbers) -> Follows | Allows:
     """Return a relation whose formulas say where all their symbols stand."""
     place, _, _ = relation.of.rpartition("/")
     _, _, last = f"{relation.of}{relation.suffix}".rpartition("/")
-    beside = _beside(place, f"/{last}" if last in PARTICIPANTS else "", numbers)
-    if relation.unless in beside:
+    names = beside(place, f"/{last}" if last in PARTICIPANTS else "", numbers)
+    if relation.unless in names:
         raise NotPrintedError(relation.unless)
     fixed = {"k": len(conditions_of(place))} if f"{place}/n" in numbers else {}
 
@@ -371,9 +369,9 @@ def completed(relation: Follows | Allows, numbers: Numbers) -> Follows | Allows:
         return way
 
     if isinstance(relation, Allows):
-        ends = formula(relation.least, beside), formula(relation.most, beside)
+        ends = formula(relation.least, names), formula(relation.most, names)
         return replace(relation, least=ends[0], most=ends[1])
-    first = formula(relation, beside)
+    first = formula(relation, names)
     return replace(
         first,
         conventions=tuple(formula(way, first.ids) for way in relation.conventions),

@@ -4,12 +4,14 @@ means, SDs, whole points and sample sizes; statistics that two studies share.
 """
 
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping
 from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction
 from itertools import combinations
 from statistics import mode
-from typing import NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import optimize, stats
@@ -24,6 +26,7 @@ from trustlab.reproduction.audit.check import (
     Finding,
     Numbers,
     Row,
+    beside,
     listing,
     row_about,
     row_within,
@@ -31,7 +34,7 @@ from trustlab.reproduction.audit.check import (
 from trustlab.reproduction.audit.relations import (
     BOUNDS,
     LIMIT_INPUTS,
-    PERFORMANCE,
+    RATE_INPUTS,
     bounds,
     claim_checks,
     limits,
@@ -45,9 +48,13 @@ LIMITS = ("TSC_lb", "TSC_ub", "b_pr")
 # Cap on a misfit, in half units; also the misfit of an output that cannot be computed.
 FARTHEST = 1e3
 
+NEAREST = 10  # pairs of thresholds that are tried
+
 MEASURES = published_facts("measures")
 TLX_RULES = {rule: Fraction(points) for rule, points in MEASURES["tlx_rules"].items()}
 MOST_ITEMS = 40
+# The id of a mean: table, condition and measure; or study and condition.
+MEAN = re.compile(r"(table_2\.[45]|table_3\.1)/(\w+)/(\w+)_mean|(.+)/mean\.(\w+)")
 
 
 class JointCheck(NamedTuple):
@@ -61,11 +68,12 @@ class JointCheck(NamedTuple):
     numbers: Numbers
     inputs: Mapping[str, str]
     outputs: Mapping[str, str]
-    readings: tuple[Callable[[dict], dict], ...]
+    readings: tuple[Callable[[Any], dict], ...]
 
-    def at_printed(self) -> dict[str, np.ndarray]:
-        """Return the inputs as printed."""
-        return {name: np.asarray(self.numbers[id].value) for name, id in self.inputs.items()}
+    def at_printed(self, **changes: np.ndarray) -> SimpleNamespace:
+        """Return the inputs as printed, but for changes."""
+        printed = {name: np.asarray(self.numbers[id].value) for name, id in self.inputs.items()}
+        return SimpleNamespace(**printed | changes)
 
     def misfit(self, computed: Mapping[str, np.ndarray], names: tuple[str, ...] = ()) -> np.ndarray:
         """Return by how many half units the worst output lies beyond its rounding, or 0."""
@@ -90,7 +98,7 @@ class JointCheck(NamedTuple):
             def miss(point: np.ndarray, compute: Callable = compute) -> np.ndarray:
                 values = dict(zip(free, middle[:, None] + half[:, None] * point, strict=True))
                 values |= {name: np.full(point.shape[1], value) for name, value in fixed.items()}
-                return self.misfit(compute(values))
+                return self.misfit(compute(SimpleNamespace(**values)))
 
             # A global search: the misfit has steps, as dwell times are whole numbers, and is flat
             # where all outputs fit.
@@ -142,23 +150,12 @@ class JointCheck(NamedTuple):
         )
 
 
-def _limit_row(numbers: Numbers, p: str) -> Row:
-    inputs = {name: f"table_2.1/{name}/{p}" for name in LIMIT_INPUTS}
-    outputs = {name: f"table_2.1/{name}/{p}" for name in LIMITS}
-    gain = numbers[outputs["b_pr"]].value
-    with_gain = (lambda v: limits(v | {"b_pr": gain}), limits)  # b_pr as printed, then by (2.3)
-    check = JointCheck(numbers, inputs, outputs, with_gain)
-    if related(f"table_2.1/TSC_ub/{p}", numbers).row(numbers).verdict == "differs":
-        return check.described("not checkable", "TSC_ub alone does not follow; see its own row.")
-    return check.row(_finer_rate)
-
-
 def _finer_rate(check: JointCheck) -> str:
     """Say which a_pr with one more digit gives both limits, if one does."""
     rate, (compute, _) = check.numbers[check.inputs["a_pr"]], check.readings
     for k in sorted(range(-5, 6), key=abs):
         a_pr = rate.value + k * 10.0 ** -(rate.decimals + 1)
-        computed = compute(check.at_printed() | {"a_pr": np.asarray(a_pr)})
+        computed = compute(check.at_printed(a_pr=np.asarray(a_pr)))
         if check.misfit(computed, ("TSC_lb", "TSC_ub")) == 0.0:
             return (
                 f"Both limits follow from a_pr = {a_pr:.{rate.decimals + 1}f} (printed: "
@@ -167,56 +164,57 @@ def _finer_rate(check: JointCheck) -> str:
     return ""
 
 
-def _bound_row(numbers: Numbers, p: str, limits_fit: bool) -> Row:
-    """Return the row of Table 2.2, with the limits of Table 2.1 where these fit by themselves."""
-    inputs = {name: f"table_2.1/{name}/{p}" for name in (*PERFORMANCE, "a_pr", "a_r", "delta_TSC")}
-    inputs |= {name: f"table_2.2/{name}/{p}" for name in ("TSC_l", "TSC_u")}
-    outputs = {name: f"table_2.2/{name}/{p}" for name in BOUNDS}
-    if limits_fit:
-        inputs["delta_P_h"] = f"table_2.1/delta_P_h/{p}"
-        outputs |= {name: f"table_2.1/{name}/{p}" for name in LIMITS}
-    gain = numbers[f"table_2.1/b_pr/{p}"].value
-
-    def compute(v: dict, rise_from_gain: bool) -> dict:
-        with_gain = v | {"b_pr": gain}
-        computed = bounds(with_gain if rise_from_gain else v)
-        return computed | limits(with_gain) if limits_fit else computed
-
-    # c of (2.20) as it is, then as b_pr P_h/(1 − a_pr) with b_pr as printed.
-    readings = (lambda v: compute(v, False)), (lambda v: compute(v, True))
-    return JointCheck(numbers, inputs, outputs, readings).row(_other_thresholds)
-
-
 def _other_thresholds(check: JointCheck) -> str:
     """Say which thresholds, of two decimals, give the column, if any do."""
-    point, grid = check.at_printed(), np.arange(-100, 101) / 100.0
-    # P_rl depends on TSC_l alone and P_ru on TSC_u alone, so that few pairs are left to search.
-    low = grid[check.misfit(bounds(point | {"TSC_l": grid}), ("P_rl",)) == 0.0]
-    high = grid[check.misfit(bounds(point | {"TSC_u": grid}), ("P_ru",)) == 0.0]
-    pairs = [(lower, upper) for lower in low.tolist() for upper in high.tolist() if lower < upper]
-
-    def away(pair: tuple[float, float]) -> float:
-        thresholds = dict(zip(("TSC_l", "TSC_u"), map(np.asarray, pair), strict=True))
-        return float(check.misfit(bounds(point | thresholds), BOUNDS))
-
-    first = JointCheck(check.numbers, check.inputs, check.outputs, check.readings[:1])
-    for lower, upper in sorted(pairs, key=away):
-        if first.least_misfit(TSC_l=lower, TSC_u=upper) == 0.0:
+    grid = np.arange(-100, 101) / 100.0
+    lower, upper = (x.ravel() for x in np.meshgrid(grid, grid))
+    away = check.misfit(bounds(check.at_printed(TSC_l=lower, TSC_u=upper)), BOUNDS)
+    away[lower >= upper] = np.inf
+    first = check._replace(readings=check.readings[:1])
+    for i in np.argsort(away, kind="stable")[:NEAREST]:
+        if first.least_misfit(TSC_l=lower[i], TSC_u=upper[i]) == 0.0:
             return (
                 "They follow, within the rounding of the other parameters, from TSC_l = "
-                f"{lower:.2f} and TSC_u = {upper:.2f}: probably the thresholds printed are not "
-                "those the column was computed from."
+                f"{lower[i]:.2f} and TSC_u = {upper[i]:.2f}: probably the thresholds printed are "
+                "not those the column was computed from."
             )
     return ""
 
 
+def _rows_of_participant(p: str, numbers: Numbers) -> Iterator[Row]:
+    """
+    Return the row of the limits of Table 2.1, and that of Table 2.2 together with these where they
+    fit by themselves.
+    """
+    ids = beside("", f"/{p}", numbers)
+    gain = numbers[ids["b_pr"]].value
+
+    def where(*names: str) -> dict[str, str]:
+        return {name: ids[name] for name in names}
+
+    # b_pr as printed, then by (2.3).
+    readings: tuple[Callable[[Any], dict], ...] = (lambda v: limits(v, gain), limits)
+    check = JointCheck(numbers, where(*LIMIT_INPUTS), where(*LIMITS), readings)
+    if related(ids["TSC_ub"], numbers).row(numbers).verdict == "differs":
+        row = check.described("not checkable", "TSC_ub alone does not follow; see its own row.")
+    else:
+        row = check.row(_finer_rate)
+    yield row
+    inputs, outputs = where(*RATE_INPUTS), where(*BOUNDS)
+    # c of (2.20) as it is, then as b_pr P_h/(1 − a_pr) with b_pr as printed.
+    readings = (bounds, lambda v: bounds(v, gain))
+    if row.verdict == "within rounding":
+        inputs, outputs = inputs | where("delta_P_h"), outputs | where(*LIMITS)
+        readings = (
+            lambda v: bounds(v) | limits(v, gain),
+            lambda v: bounds(v, gain) | limits(v, gain),
+        )
+    yield JointCheck(numbers, inputs, outputs, readings).row(_other_thresholds)
+
+
 def joint_rows(numbers: Numbers) -> list[Row]:
     """Return whether limits and bounds fit together, two rows for every participant."""
-    rows = []
-    for p in PARTICIPANTS:
-        limit_row = _limit_row(numbers, p)
-        rows += [limit_row, _bound_row(numbers, p, limit_row.verdict == "within rounding")]
-    return rows
+    return [row for p in PARTICIPANTS for row in _rows_of_participant(p, numbers)]
 
 
 def is_attainable(number: PrintedNumber, units: Fraction) -> bool:
@@ -233,12 +231,10 @@ def _measures(numbers: Numbers) -> dict[str, dict[str, str]]:
     """Return, per measure, condition to id of its mean."""
     measures: dict[str, dict[str, str]] = {}
     for id in numbers:
-        table, _, rest = id.partition("/")
-        if table in ("table_2.4", "table_2.5", "table_3.1") and id.endswith("_mean"):
-            condition, column = rest.split("/")
-            measures.setdefault(f"{table}/{column.removesuffix('_mean')}", {})[condition] = id
-        elif rest.startswith("mean."):
-            measures.setdefault(table, {})[rest.removeprefix("mean.")] = id
+        if cell := MEAN.fullmatch(id):
+            table, in_table, column, study, condition = cell.groups()
+            measure = study or f"{table}/{column}"
+            measures.setdefault(measure, {})[condition or in_table] = id
     return measures
 
 
@@ -418,11 +414,7 @@ def _restated(id: str, first: str, where: str, numbers: Numbers) -> Row:
     reason = f"{where} has {source.printed}."
     if not same:
         rounded = there.quantize(here, ROUND_HALF_UP)
-        neither = "neither is the other one rounded"
-        why = f"{source.printed} rounds to {rounded}" if rounded != there else neither
-        reason = (
-            f"{reason[:-1]}, here {number.printed} is printed: one of the two is wrong, as {why}."
-        )
+        reason += f" Here it would be {rounded}: one of the two is wrong."
     return row_about(
         number,
         reason,

@@ -1,7 +1,7 @@
 """
 Relations between printed numbers: what follows from what, and the range that other numbers allow.
 
-A relation is a line of arithmetic: `Follows(text, lambda v: …, of=number)`, where * in the number
+A relation is a line of arithmetic: `Follows(number, text, lambda v: …)`, where * in the number
 makes it a line for each that matches. v has the printed numbers by their own names: those of the
 same participant, of the same study, or beside the number that is checked; k is the number of
 conditions. `ids` says where a symbol stands otherwise, "./" beside the number, and a * there makes
@@ -18,7 +18,11 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
+from trustlab.allocation.bounds import (
+    PerformanceRange,
+    performance_as_printed,
+    utilization_as_printed,
+)
 from trustlab.allocation.limits import limits_as_printed
 from trustlab.models.tsc import TscConstants, gain_of_human_performance, performance_weights
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, claims
@@ -38,60 +42,64 @@ AT_LEAST_0 = (0.0, INFINITE)
 
 PERFORMANCE = ("P_r_min", "P_r_max", "P_h_min", "P_h_max")
 LIMIT_INPUTS = (*PERFORMANCE, "a_pr", "delta_P_h")
-RANGE_INPUTS = (*PERFORMANCE, "delta_TSC", "TSC_l", "TSC_u")
 RATE_INPUTS = (*PERFORMANCE, "a_pr", "a_r", "delta_TSC", "TSC_l", "TSC_u")
 BOUNDS = ("P_rl", "P_ru", "r_l", "r_u")
 
 
-def robot_gain(v: dict) -> np.ndarray:
-    """Return b_pr of (2.3) from a_pr, P_r_min, P_r_max and P_h_max."""
-    return gain_of_human_performance(v["a_pr"], v["P_r_min"], v["P_r_max"], v["P_h_max"])
+def robot_gain(v: Any) -> np.ndarray:
+    """Return b_pr of (2.3)."""
+    return gain_of_human_performance(v.a_pr, v.P_r_min, v.P_r_max, v.P_h_max)
 
 
-def constants(v: dict) -> TscConstants:
-    """Return the constants at printed parameters; b_pr of (2.3) where it is not among them."""
-    a_T, b_T = performance_weights(*(v[name] for name in PERFORMANCE))
+def weights(v: Any) -> tuple[Any, Any]:
+    """Return a_T and b_T."""
+    return performance_weights(v.P_r_min, v.P_r_max, v.P_h_min, v.P_h_max)
+
+
+def constants(v: Any, a_pr: Any, b_pr: Any) -> TscConstants:
+    """Return the constants at printed parameters."""
+    a_T, b_T = weights(v)
     return TscConstants(
-        a_r=v.get("a_r", np.nan),
-        beta=np.nan,  # no limit and no bound depends on it
-        p_h_min=v["P_h_min"],
-        p_h_max=v["P_h_max"],
-        a_pr=v["a_pr"],
-        b_pr=v.get("b_pr", robot_gain(v)),
-        p_r_min=v["P_r_min"],
-        p_r_max=v["P_r_max"],
+        a_r=np.nan,  # no limit and no bound on performance depends on a_r and β
+        beta=np.nan,
+        p_h_min=v.P_h_min,
+        p_h_max=v.P_h_max,
+        a_pr=a_pr,
+        b_pr=b_pr,
+        p_r_min=v.P_r_min,
+        p_r_max=v.P_r_max,
         a_T=a_T,
         b_T=b_T,
     )
 
 
-def limits(v: dict) -> dict[str, np.ndarray]:
-    """Return TSC_lb and TSC_ub, (2.9)-(2.10), and b_pr of (2.3)."""
-    lower, upper = limits_as_printed(constants(v), v["delta_P_h"])
-    return {"TSC_lb": lower, "TSC_ub": upper, "b_pr": robot_gain(v)}
+def limits(v: Any, b_pr: np.ndarray | float | None = None) -> dict[str, np.ndarray]:
+    """Return TSC_lb and TSC_ub, (2.9)-(2.10), and b_pr of (2.3), used unless one is given."""
+    gain = robot_gain(v)
+    tsc = constants(v, v.a_pr, gain if b_pr is None else b_pr)
+    lower, upper = limits_as_printed(tsc, v.delta_P_h)
+    return {"TSC_lb": lower, "TSC_ub": upper, "b_pr": gain}
 
 
-def bounds(v: dict) -> dict[str, np.ndarray]:
+def performance(v: Any, a_pr: Any = np.nan, rise: Any = None) -> PerformanceRange:
+    """Return P_rl, P_ru (2.15), and dwell times, which alone need a_pr and c of (2.20), `rise`."""
+    tsc = constants(v, a_pr, gain_of_human_performance(a_pr, v.P_r_min, v.P_r_max, v.P_h_max))
+    return performance_as_printed(tsc, v.TSC_l, v.TSC_u, v.delta_TSC, rise)
+
+
+def bounds(v: Any, b_pr: float | None = None) -> dict[str, np.ndarray]:
     """
     Return P_rl, P_ru (2.15) and r_l, r_u (2.33).
 
-    With b_pr among the parameters, c of (2.20) is b_pr P_h/(1 − a_pr); P_rl and P_ru need neither
-    a_pr nor a_r.
+    With a b_pr, c of (2.20) is b_pr P_h/(1 − a_pr).
     """
-    v = {"a_pr": np.nan, "a_r": np.nan} | v
-    rise = v["b_pr"] * v["P_h_max"] / (1.0 - v["a_pr"]) if "b_pr" in v else None
-    p = performance_as_printed(constants(v), v["TSC_l"], v["TSC_u"], v["delta_TSC"], rise)
+    rise = None if b_pr is None else b_pr * v.P_h_max / (1.0 - v.a_pr)
+    p = performance(v, v.a_pr, rise)
     r = utilization_as_printed(
-        v["a_r"], p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous_high
+        v.a_r, p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous_high
     )
     r_low, r_high = (np.where(p.p_r_low < p.p_r_high, x, np.nan) for x in r)
     return dict(zip(BOUNDS, (p.p_r_low, p.p_r_high, r_low, r_high), strict=True))
-
-
-def bound(name: str) -> Callable[[Any], np.ndarray]:
-    """Return how one of the four bounds is computed."""
-    symbols = RATE_INPUTS if name.startswith("r") else RANGE_INPUTS
-    return lambda v: bounds(v.named(*symbols))[name]
 
 
 def chi2_of_epsilon(
@@ -113,14 +121,9 @@ def chi2_of_epsilon(
         return -mauchly_factor(n, k) * np.log(w)
 
 
-def gain(v: Any) -> np.ndarray:
-    """Return b_pr by (2.3)."""
-    return robot_gain(v.named("a_pr", "P_r_min", "P_r_max", "P_h_max"))
-
-
-def upper_limit(v: Any, *gain: str) -> np.ndarray:
-    """Return TSC_ub by (2.10), with b_pr where it is named, otherwise by (2.3)."""
-    return limits(v.named(*LIMIT_INPUTS, *gain))["TSC_ub"]
+def upper_limit(v: Any) -> np.ndarray:
+    """Return TSC_ub by (2.10), with b_pr as printed."""
+    return limits(v, v.b_pr)["TSC_ub"]
 
 
 def step(v: Any, sign: float = 1.0) -> np.ndarray:
@@ -128,7 +131,7 @@ def step(v: Any, sign: float = 1.0) -> np.ndarray:
     Return the largest step of TSC (Remark 3), or with −1 its expression as it stands, whose terms
     have opposite signs.
     """
-    a_T, b_T = performance_weights(*v.named(*PERFORMANCE).values())
+    a_T, b_T = weights(v)
     return np.abs(a_T * v.delta_P_r + sign * b_T * v.delta_P_h)
 
 
@@ -147,9 +150,9 @@ def lies_above(of: str, higher: str, lower: str, column: str) -> Follows:
     table, measure = column.split("/")
     mean = f"{table}/C[{{}}]/{measure}_mean".format
     return Follows(
+        f"section_2_4_1_3/{of}",
         "min(above) − max(below)",
         lambda v: v.above.min(axis=0) - v.below.max(axis=0),
-        of=f"section_2_4_1_3/{of}",
         ids={"above": mean(higher), "below": mean(lower)},
         target=POSITIVE,
     )
@@ -167,6 +170,11 @@ def against_mmi(scheme: str) -> dict[str, str]:
     return {"after": mean(scheme), "before": mean("MMI")}
 
 
+def analysed(v: Any) -> np.ndarray:
+    """Return how many people are left."""
+    return v.participants - v.dropped
+
+
 def left_over(orders: int) -> Callable[[Any], np.ndarray]:
     """Return how many participants are more than whole squares of so many orders need."""
     return lambda v: v.participants % orders
@@ -180,17 +188,15 @@ def mean_of(row: str) -> Formula:
 
 def lower_limit(v: Any) -> np.ndarray:
     """Return TSC_lb by (2.9)."""
-    return limits(v.named(*LIMIT_INPUTS))["TSC_lb"]
+    return limits(v)["TSC_lb"]
 
 
 def within_limits(of: str, binding: str, where: Mapping[str, str] = MappingProxyType({})) -> Allows:
     """Return that thresholds lie between the limits by (2.9) and (2.10), which need not be so."""
     return Allows(
-        of=of,
-        least=Formula("TSC_lb (2.9)", lower_limit, ids=where),
-        most=Formula(
-            "TSC_ub (2.10)", lambda v: upper_limit(v, "b_pr"), ids=where, as_printed=("b_pr",)
-        ),
+        of,
+        Formula("TSC_lb (2.9)", lower_limit, ids=where),
+        Formula("TSC_ub (2.10)", upper_limit, ids=where, as_printed=("b_pr",)),
         binding=binding,
     )
 
@@ -203,12 +209,12 @@ ZERO = Formula("0", lambda v: 0)
 FIVE = {"x": "./[1-5]"}
 
 MODELS: tuple[Follows | Allows, ...] = (
-    Follows("1 − a_r", lambda v: 1 - v.a_r, of="*/b_r*"),
-    Follows("(1 − a_pr)(P_r_max − P_r_min)/P_h_max", gain, of="*/b_pr*"),
+    Follows("*/b_r*", "1 − a_r", lambda v: 1 - v.a_r),
+    Follows("*/b_pr*", "(1 − a_pr)(P_r_max − P_r_min)/P_h_max", robot_gain),
     Follows(
+        "table_2.1/delta_TSC/*",
         STEP,
         step,
-        of="table_2.1/delta_TSC/*",
         explanations=(
             Formula(
                 "a_T δ_Pr − b_T δ_Ph",
@@ -219,29 +225,33 @@ MODELS: tuple[Follows | Allows, ...] = (
         ),
     ),
     Follows(
+        "claim/remark_3/delta_tsc_of_the_pilot_operator",
         STEP,
         step,
-        of="claim/remark_3/delta_tsc_of_the_pilot_operator",
         ids=at("pilot", *PERFORMANCE, "delta_P_r", "delta_P_h"),
     ),
     Follows(
+        "table_2.1/TSC_lb/*",
         "a_T b'_1 − b_T P_h_min (2.9)",
         lower_limit,
-        of="table_2.1/TSC_lb/*",
     ),
     Follows(
+        "table_2.1/TSC_ub/*",
         UPPER,
-        lambda v: upper_limit(v, "b_pr"),
+        upper_limit,
         "b_pr as printed",
-        of="table_2.1/TSC_ub/*",
         as_printed=("b_pr",),  # (2.3) ties it to the other parameters
         conventions=(
-            Formula(UPPER, upper_limit, "b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb"),
+            Formula(
+                UPPER,
+                lambda v: limits(v)["TSC_ub"],
+                "b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb",
+            ),
         ),
         explanations=tuple(
             Formula(
                 UPPER,
-                lambda v: upper_limit(v, "b_pr"),
+                upper_limit,
                 f"the b_pr of participant {other} was used",
                 {"b_pr": f"table_2.1/b_pr/{other}"},
                 ("b_pr",),
@@ -253,52 +263,46 @@ MODELS: tuple[Follows | Allows, ...] = (
     within_limits("table_2.2/TSC_[lu]/*", BEYOND),
     within_limits("section_2_5/TSC_*", f"Suspicious: {BEYOND}", at("pilot", *LIMIT_INPUTS, "b_pr")),
     Allows(
-        of="table_2.3/TSC_u.mean/*",
-        least=Formula("TSC_lb", lambda v: v.TSC_lb),
-        most=Formula("TSC_ub", lambda v: v.TSC_ub),
+        "table_2.3/TSC_u.mean/*",
+        Formula("TSC_lb", lambda v: v.TSC_lb),
+        Formula("TSC_ub", lambda v: v.TSC_ub),
         binding=f"{BEYOND} It is captured, and the condition is sufficient, not necessary.",
     ),
     Allows(
-        of="*/delta_P_r*",
-        least=ZERO,
-        most=Formula(
-            "(1 − a_pr)(P_r_max − P_r_min)", lambda v: (1 - v.a_pr) * (v.P_r_max - v.P_r_min)
-        ),
+        "*/delta_P_r*",
+        ZERO,
+        Formula("(1 − a_pr)(P_r_max − P_r_min)", lambda v: (1 - v.a_pr) * (v.P_r_max - v.P_r_min)),
     ),
-    *(
-        Follows(
-            f"{name} of {'(2.33)' if name.startswith('r') else '(2.15)'}",
-            bound(name),
-            of=f"table_2.2/{name}/*",
-        )
-        for name in BOUNDS
-    ),
+    Follows("table_2.2/P_rl/*", "P_rl of (2.15)", lambda v: performance(v).p_r_low),
+    Follows("table_2.2/P_ru/*", "P_ru of (2.15)", lambda v: performance(v).p_r_high),
+    Follows("table_2.2/r_l/*", "r_l of (2.33)", lambda v: bounds(v)["r_l"]),
+    Follows("table_2.2/r_u/*", "r_u of (2.33)", lambda v: bounds(v)["r_u"]),
 )
 
 
 def thresholds_of(p: str) -> Iterator[Follows]:
     """Return what the text says of the thresholds of a participant."""
     yield Follows(
+        "section_2_4_1_2/enclose_beta",
         "min(β − r_l, r_u − β)",
         lambda v: np.minimum(v.β - v.r_l, v.r_u - v.β),
-        of="section_2_4_1_2/enclose_beta",
         suffix=f"/{p}",
         quantity=f"r_l ≤ β ≤ r_u, participant {p}",
         target=AT_LEAST_0,
     )
     yield Follows(
+        "section_2_4_1_2/limits",
         "least gap in TSC_lb < TSC_l < TSC_u < TSC_ub",
         lambda v: np.min([v.TSC_l - v.TSC_lb, v.TSC_u - v.TSC_l, v.TSC_ub - v.TSC_u], axis=0),
-        of="section_2_4_1_2/limits",
         suffix=f"/{p}",
         quantity=f"TSC_lb < TSC_l < TSC_u < TSC_ub, participant {p}",
         target=POSITIVE,
     )
     apart = Follows(
+        "section_2_4_1_3/follow",
         "(μ_u − σ_u) − (μ_l + σ_l)",
         lambda v: v.u_mean - v.u_sd - v.l_mean - v.l_sd,
         ids={f"{end}_{x}": f"table_2.3/TSC_{end}.{x}/{p}" for end in "ul" for x in ("mean", "sd")},
-        of="section_2_4_1_3/follow",
         suffix=f"/{p}",
         quantity=f"μ ± σ of TSC_l and TSC_u apart, participant {p}",
         target=AT_LEAST_0,
@@ -317,9 +321,9 @@ def thresholds_of(p: str) -> Iterator[Follows]:
 CASE_STUDY: tuple[Follows | Allows, ...] = (
     *(relation for p in PARTICIPANTS for relation in thresholds_of(p)),
     Follows(
+        "section_2_4_1_3/higher_sd",
         "σ_l + σ_u of participant 3 less the greatest of the others",
         spread_of_participant_3,
-        of="section_2_4_1_3/higher_sd",
         ids={"l": "table_2.3/TSC_l.sd/*", "u": "table_2.3/TSC_u.sd/*"},
         target=POSITIVE,
         note="Largest for both thresholds together, not for each alone.",
@@ -331,15 +335,15 @@ CASE_STUDY: tuple[Follows | Allows, ...] = (
     lies_above("human_performance", "23", "1", "table_2.5/P_h"),
     lies_above("utilization", "1", "23", "table_2.5/r"),
     *(
-        Allows(of=f"table_2.5/*/{p}_mean", least=mean_of(f"{p}_min"), most=mean_of(f"{p}_max"))
+        Allows(f"table_2.5/*/{p}_mean", mean_of(f"{p}_min"), mean_of(f"{p}_max"))
         for p in ("P_r", "P_h")
     ),
-    Follows("mean of the five", lambda v: v.x.mean(axis=0), of="table_2.6/*/mean", ids=FIVE),
+    Follows("table_2.6/*/mean", "mean of the five", lambda v: v.x.mean(axis=0), ids=FIVE),
     Follows(
+        "table_2.6/*/sd",
         "SD of the five",
         lambda v: v.x.std(axis=0, ddof=1),
         "divided by n − 1",
-        of="table_2.6/*/sd",
         ids=FIVE,
         conventions=(Formula("SD of the five", lambda v: v.x.std(axis=0), "divided by n"),),
     ),
@@ -348,12 +352,12 @@ CASE_STUDY: tuple[Follows | Allows, ...] = (
 # F, its degrees of freedom, ε, t and Mauchly's test of a study; with an ε, each of ε and the
 # degrees of freedom follows from another.
 TESTS: tuple[Follows | Allows, ...] = (
-    Follows("P(F(df1, df2) > F)", lambda v: stats.f.sf(v.F, v.df1, v.df2), of="*/anova.p"),
+    Follows("*/anova.p", "P(F(df1, df2) > F)", lambda v: stats.f.sf(v.F, v.df1, v.df2)),
     Follows(
+        "*/anova.eta2",
         "F/(F + n − 1)",
         lambda v: v.F / (v.F + v.n - 1),
         "partial η²",
-        of="*/anova.eta2",
         conventions=(
             Formula(
                 "F df1/(F df1 + df2)",
@@ -362,33 +366,33 @@ TESTS: tuple[Follows | Allows, ...] = (
             ),
         ),
     ),
-    Follows("k − 1", lambda v: v.k - 1, "k conditions", of="*/anova.df1", unless="ε"),
-    Follows("(k − 1)(n − 1)", lambda v: (v.k - 1) * (v.n - 1), of="*/anova.df2", unless="ε"),
+    Follows("*/anova.df1", "k − 1", lambda v: v.k - 1, "k conditions", unless="ε"),
+    Follows("*/anova.df2", "(k − 1)(n − 1)", lambda v: (v.k - 1) * (v.n - 1), unless="ε"),
     Follows(
+        "*/anova.df1",
         "df2/(n − 1)",
         lambda v: v.df2 / (v.n - 1),
-        of="*/anova.df1",
         conventions=(Formula("(k − 1) ε", lambda v: (v.k - 1) * v.ε),),
     ),
     Follows(
+        "*/anova.df2",
         "(k − 1) ε (n − 1)",
         lambda v: (v.k - 1) * v.ε * (v.n - 1),
-        of="*/anova.df2",
         conventions=(Formula("df1 (n − 1)", lambda v: v.df1 * (v.n - 1)),),
     ),
     Follows(
+        "*/epsilon",
         "df2/((k − 1)(n − 1))",
         lambda v: v.df2 / ((v.k - 1) * (v.n - 1)),
-        of="*/epsilon",
         conventions=(Formula("df1/(k − 1)", lambda v: v.df1 / (v.k - 1)),),
     ),
-    Follows("2 P(t(n − 1) > t)", lambda v: 2 * stats.t.sf(v.t, v.n - 1), of="*/t_test.p"),
-    Follows("k(k − 1)/2 − 1", lambda v: v.k * (v.k - 1) / 2 - 1, of="*/mauchly.df"),
+    Follows("*/t_test.p", "2 P(t(n − 1) > t)", lambda v: 2 * stats.t.sf(v.t, v.n - 1)),
+    Follows("*/mauchly.df", "k(k − 1)/2 − 1", lambda v: v.k * (v.k - 1) / 2 - 1),
     Follows(
+        "*/mauchly.p",
         "P(χ²(df) > χ²) + ω [P(χ²(df + 4) > χ²) − P(χ²(df) > χ²)]",
         lambda v: mauchly_p_value(v.χ2, v.n, v.k),
         "second-order approximation, as statistical packages give it",
-        of="*/mauchly.p",
         conventions=(
             Formula(
                 "P(χ²(df) > χ²)", lambda v: stats.chi2.sf(v.χ2, v.df), "first-order approximation"
@@ -397,9 +401,9 @@ TESTS: tuple[Follows | Allows, ...] = (
     ),
     *(
         Follows(
+            "*/sphericity",
             "p",
             lambda v: v.p_of_Mauchly,
-            of="*/sphericity",
             printed=word,
             ids={"p_of_Mauchly": "./mauchly.p"},
             target=ends,
@@ -412,19 +416,19 @@ TESTS: tuple[Follows | Allows, ...] = (
         )
     ),
     Allows(
-        of="*/mauchly.chi2",
-        least=Formula("least χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, v.k, False)),
-        most=Formula("greatest χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, v.k, True)),
+        "*/mauchly.chi2",
+        Formula("least χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, v.k, False)),
+        Formula("greatest χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, v.k, True)),
     ),
 )
 
 USED = Formula(CHANGE, change, "the value of OMI was used", against_mmi("OMI"))
 LOWER = Follows(
+    "section_3_1/error",
     CHANGE,
     change,
     "relative change",
     against_mmi("TMIG"),
-    of="section_3_1/error",
     explanations=(USED,),
 )
 
@@ -443,16 +447,16 @@ SEVENTH = "The seventh, uav.followed, has two conditions and was compared by a t
 
 PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
     Follows(
+        "claim/section_3_8_1/f_i_for_a_delay_growing_at_most_0_5_s_s",
         "√(1 − Ṫ_max)",
         lambda v: (1 - v.T_max) ** 0.5,
-        of="claim/section_3_8_1/f_i_for_a_delay_growing_at_most_0_5_s_s",
         ids=at("section_3_8_1", "T_max"),
     ),
     *(
         Follows(
+            f"remark_7/P_r_{end}",
             "v (1 − e/e_max)",
             lambda v: v.v * (1 - v.e / v.e_max),
-            of=f"remark_7/P_r_{end}",
             ids={"v": f"./v_{end}", "e": f"./e_{end}", "e_max": "section_2_2_2/e_max"},
             binding="(2.4) is a mean of products, which is below the product of the means where "
             "the robot is faster the farther it is from the path.",
@@ -460,10 +464,10 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         for end in ("min", "max")
     ),
     Follows(
+        "section_2_2_2/weights",
         "(W/T + 1)/(W/T)",
         lambda v: (v.W / v.T + 1) / (v.W / v.T),
         "W + 1 terms from k − W to k, divided by W",
-        of="section_2_2_2/weights",
     ),
     LOWER,
     *(
@@ -478,36 +482,38 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
     ),
     *(
         Follows(
+            of,
             f"number of {counted}",
             lambda v: len(v.x),
-            of=of,
             ids={"x": pattern},
             note=SEVENTH if of == "section_2_4_2_4/anovas" else "",
         )
         for counted, of, pattern in COUNTED
     ),
-    *(
-        Follows("participants − dropped", lambda v: v.participants - v.dropped, **about)
-        for about in (
-            {
-                "of": "uav.*/n",
-                "ids": at("section_2_4_2_2", "participants", "dropped", "trials"),
-                "explanations": (
-                    Formula(
-                        "trials (participants − dropped)",
-                        lambda v: v.trials * (v.participants - v.dropped),
-                        "each trial of a person was counted as a person",
-                    ),
-                ),
-            },
-            {"of": "teleop.*/n", "ids": at("section_3_9_2", "participants", "dropped")},
-        )
+    Follows(
+        "uav.*/n",
+        "participants − dropped",
+        analysed,
+        ids=at("section_2_4_2_2", "participants", "dropped", "trials"),
+        explanations=(
+            Formula(
+                "trials (participants − dropped)",
+                lambda v: v.trials * analysed(v),
+                "each trial of a person was counted as a person",
+            ),
+        ),
+    ),
+    Follows(
+        "teleop.*/n",
+        "participants − dropped",
+        analysed,
+        ids=at("section_3_9_2", "participants", "dropped"),
     ),
     *(
         Follows(
+            f"{section}/square",
             f"participants modulo {orders}",
             left_over(orders),
-            of=f"{section}/square",
             ids=at(group, "participants"),
             target=(0.0, 0.0),
             note=f"A square balanced for order and carry-over has {orders} orders; those dropped "
@@ -520,48 +526,48 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
     ),
     # (3.10) at rest, of a handle of 50 g: no handle of a haptic device is so light.
     Allows(
-        of="section_3_*/B",
-        least=Formula("0.05 Λ", lambda v: 0.05 * v.Lambda),
-        most=Formula("∞", lambda v: INFINITE),
+        "section_3_*/B",
+        Formula("0.05 Λ", lambda v: 0.05 * v.Lambda),
+        Formula("∞", lambda v: INFINITE),
         binding="Suspicious: (3.10) needs B ≥ MΛ, for a handle lighter than any that a hand holds.",
     ),
-    Follows("sets × laps", lambda v: v.sets * v.laps, of="section_2_4_1_3/laps_in_all"),
-    Follows("female + male", lambda v: v.female + v.male, of="section_*/participants"),
+    Follows("section_2_4_1_3/laps_in_all", "sets × laps", lambda v: v.sets * v.laps),
+    Follows("section_*/participants", "female + male", lambda v: v.female + v.male),
     Follows(
+        "section_3_8_2/variables",
         "objective + subjective",
         lambda v: v.objective + v.subjective,
-        of="section_3_8_2/variables",
     ),
     Follows(
+        "section_3_9_1/levels",
         "df1 + 1",
         lambda v: v.df1 + 1,
-        of="section_3_9_1/levels",
         ids={"df1": "teleop.tlx/anova.df1"},
     ),
     Follows(
+        "section_2_4_2_3/study",
         "study − (tutorial + identification + 5 trials task)/60",
         lambda v: v.study - (v.tutorial + v.identification + 5 * v.trials * v.task) / 60,
         "five conditions",
         at("section_2_4_2_2", "trials"),
-        of="section_2_4_2_3/study",
         target=AT_LEAST_0,
         note="The rest is for questionnaires, consent and breaks.",
     ),
     # Nobody who is measured performs better than a perfect operator, u_h = u_i.
     Follows(
+        "section_2_4_2/Z_Ph",
         "(u_i − u_h)/du_max at u_h = u_i, less the greatest printed mean",
         lambda v: -v.x.max(axis=0),
-        of="section_2_4_2/Z_Ph",
         ids={"x": "uav.human_performance/mean.*"},
         target=AT_LEAST_0,
         note="The means are printed as performance: a quality would be 1 − |u_i − u_h|/du_max.",
     ),
     Follows(
+        "appendix_a/pd/p_xy",
         "x_damping (x_stiffness + x_gain d_xy) − x_gain p_xy",
         lambda v: v.x_damping * (v.x_stiffness + v.x_gain * v.d_xy) - v.x_gain * v.p_xy,
         "Routh: positive where the loop is stable",
         at("appendix_a/model", "x_damping", "x_stiffness", "x_gain"),
-        of="appendix_a/pd/p_xy",
         suffix="/stable",
         target=AT_LEAST_0,
         note="The error rows of Appendix A with α = 0 diverge along x: the autonomous control "
@@ -586,9 +592,9 @@ def rank_of(scheme: str, sign: int) -> Callable[[Any], np.ndarray]:
 
 RANKS = tuple(
     Follows(
+        f"section_3_8_3/{scheme}_{measure}",
         f"rank of {scheme}, the best first",
         rank_of(scheme, sign),
-        of=f"section_3_8_3/{scheme}_{measure}",
         ids={"x": f"table_3.1/*/{measure}_mean"},
     )
     for scheme in SCHEMES
@@ -632,11 +638,11 @@ def _by_range(number: str, after: str, before: str) -> Follows:
         {"after": after, "before": before, **ends},
     )
     return Follows(
+        number,
         "100 (after − before)/(P_r_max − P_r_min)",
         lambda v: 100 * (v.after - v.before) / (v.P_r_max - v.P_r_min),
         "difference of two values of (2.39)",
         relative.ids,
-        of=number,
         conventions=(relative,),
     )
 
@@ -676,7 +682,7 @@ def _claim(number: str, reading: str, after: str, before: str, numbers: Numbers)
     if reading == "range":
         return _by_range(number, after, before)
     ids = {"after": after, "before": before}
-    relative = Follows(CHANGE, change, "relative change", ids, of=number)
+    relative = Follows(number, CHANGE, change, "relative change", ids)
     if reading == "relative":
         return _as_change(relative, numbers)
     return _in_points(relative, 100.0 if reading == "share" else 1.0, numbers)

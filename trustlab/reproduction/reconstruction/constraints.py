@@ -159,6 +159,12 @@ def statistics(
     return values
 
 
+def p_of_f(study: PublishedStudy, f_ratio: np.ndarray, factor: np.ndarray | float) -> np.ndarray:
+    """Return p of F, a column each, with degrees of freedom times each factor, a row each."""
+    df = (study.k - 1) * np.reshape(factor, (-1, 1))
+    return special.fdtrc(df, df * (study.n - 1), f_ratio)
+
+
 def adjusted(p: np.ndarray, p_adjust: str) -> np.ndarray:
     """Return p-values adjusted for their number along the last axis."""
     if p_adjust == "sidak":

@@ -7,6 +7,7 @@ Of numbers that disagree, the fewest are named; of two, the one that is computed
 import math
 from collections.abc import Mapping
 from itertools import combinations, permutations
+from typing import Any
 
 import numpy as np
 from scipy import special
@@ -18,6 +19,7 @@ from trustlab.reproduction.reconstruction.constraints import (
     Reading,
     adjusted,
     constraints,
+    p_of_f,
     readings,
 )
 from trustlab.studies.anova import mauchly_p_value
@@ -89,7 +91,10 @@ def _of_the_tests(study: PublishedStudy, reading: Reading) -> dict[str, str]:
         p = 2.0 * special.stdtr(n - 1, -known["t_test.t"])
         wrong |= _contradicted(printed["t_test.p"], p, "t gives")
     if "anova.p" in known and {"anova.F", "anova.eta2"} & known.keys():
-        p = _p_of_f(study, reading, f_ratio, epsilon)
+        factor: Any = reading.rounded or 1.0
+        if reading.p and not reading.rounded:
+            factor = np.clip(epsilon, 1.0 / (k - 1), 1.0)
+        p = p_of_f(study, f_ratio, factor)
         wrong |= _contradicted(printed["anova.p"], p, "F and its degrees of freedom give")
     return wrong
 
@@ -131,35 +136,32 @@ def _impossible(
     """Return numbers that no data have, and tests that there cannot be."""
     n, k = study.n, study.k
     d = k - 1
-    # The least and the greatest value of a statistic, and what it follows from.
-    limits: dict[str, tuple[float, float, str]] = {
-        "anova.eta2": (0.0, 1.0, ""),
-        "epsilon": (1.0 / d, 1.0, ", from 1/(k − 1) to 1"),
-        "mauchly.df": (k * d // 2 - 1, k * d // 2 - 1, "k(k − 1)/2 − 1"),
-        "t_test.df": (n - 1, n - 1, "n − 1"),
+    factor = np.array([1.0 / d, 1.0]) if reading.df else np.ones(2)
+    if reading.rounded:
+        factor = np.full(2, reading.rounded)
+    # The least and the greatest value of a statistic.
+    limits: dict[str, Any] = {
+        "anova.eta2": (0.0, 1.0),
+        "anova.df1": d * factor,
+        "anova.df2": d * (n - 1) * factor,
+        "epsilon": (1.0 / d, 1.0),
+        "mauchly.df": [k * d // 2 - 1] * 2,
+        "t_test.df": [n - 1] * 2,
     }
-    for name, df, text in (
-        ("anova.df1", d, "(k − 1)"),
-        ("anova.df2", d * (n - 1), "(k − 1)(n − 1)"),
-    ):
-        exact = df * (reading.rounded or 1.0)
-        limits[name] = exact, exact, f"{reading.rounded or ''}{text}"
-        if reading.df and not reading.rounded:
-            limits[name] = df / d, df, f", as {text} times ε, from 1/(k − 1) to 1"
     wrong = {}
     for name, s in printed.items():
         test = name.split(".")[0]
-        least, most, text = limits.get(name, (0.0, 1.0 if s.is_p else math.inf, ""))
+        least, most = limits.get(name, (0.0, 1.0 if s.is_p else math.inf))
         if test == "mauchly" and not 2 < k <= n:
             few = f"{n} subjects are too few for {k} conditions"
             wrong[name] = few if k > 2 else "sphericity always holds for two conditions"
         elif test == "t_test" and k != 2:
             wrong[name] = f"a t-test compares two conditions, and there are {k}"
         elif test not in ("mean", "sd") and not _meets(s, least, most):
-            within = f"must lie between {least:.4g} and {most:.4g}{text}"
-            within = f"is printed, but {text} = {most:g}" if least == most else within
-            belong = _where_degrees_belong(study) if "df" in name or name == "epsilon" else ""
-            wrong[name] = f"{name} = {s.text} {within}{belong}"
+            within = f"be {most:g}" if least == most else f"lie between {least:.4g} and {most:.4g}"
+            wrong[name] = f"{name} = {s.text} must {within} for {k} conditions, n = {n}"
+            if "df" in name or name == "epsilon":
+                wrong[name] += _where_degrees_belong(study)
     return wrong
 
 
@@ -183,18 +185,6 @@ def _where_degrees_belong(study: PublishedStudy) -> str:
     by = f", ε = {epsilon:.2f}" if df1 < k - 1 else ""
     degrees = f"{study.anova['df1']} and {study.anova['df2']}"
     return f"; {degrees} belong to {k} conditions, n = {people}{by}"
-
-
-def _p_of_f(
-    study: PublishedStudy, reading: Reading, f_ratio: np.ndarray, epsilon: Interval
-) -> np.ndarray:
-    """Return p at the ends of F, and of ε where p is corrected."""
-    d = study.k - 1
-    factor = np.full(2, reading.rounded or 1.0)
-    if reading.p and not reading.rounded:
-        factor = np.clip(epsilon, 1.0 / d, 1.0)
-    df = d * factor[:, None]
-    return special.fdtrc(df, df * (study.n - 1), f_ratio)
 
 
 def _contradicted(s: Constraint, values: np.ndarray, source: str) -> dict[str, str]:

@@ -6,7 +6,6 @@ from difflib import get_close_matches
 
 import numpy as np
 import pandas as pd
-from scipy import special
 
 from trustlab.models.checks import of_class, one_of, whole_number
 from trustlab.models.display import Result
@@ -17,6 +16,7 @@ from trustlab.reproduction.reconstruction.constraints import (
     ONLY_P,
     Reading,
     constraints,
+    p_of_f,
 )
 from trustlab.reproduction.reconstruction.contradictions import contradictions, reading_of
 from trustlab.reproduction.reconstruction.moments import MomentProblem, Moments
@@ -85,9 +85,14 @@ class Feasibility(Result):
             return None
         least, most = printed_interval(study.anova["p"])
         epsilon = np.linspace(1.0 / (study.k - 1), 1.0, 2001)
-        p = _p_of_f(study, epsilon[:, None])
+        p = p_of_f(study, self._f_ratio, epsilon)
         fits = epsilon[(p.min(axis=1) <= most) & (p.max(axis=1) >= least)]
         return (float(fits[0]), float(fits[-1])) if fits.size else None
+
+    @property
+    def _f_ratio(self) -> np.ndarray:
+        """The ends of the printed F."""
+        return np.maximum(printed_interval(self.study.anova["F"]), 0.0)
 
     @property
     def message(self) -> str:
@@ -108,7 +113,8 @@ class Feasibility(Result):
             doubtful = self.read_as == ONLY_P or "anova.p" in self.left_out
             if self.epsilon and doubtful:
                 low, high = self.epsilon
-                uncorrected = f"{_p_of_f(self.study, 1.0).mean():.3f}".removeprefix("0")
+                plain = p_of_f(self.study, self._f_ratio, 1.0).mean()
+                uncorrected = f"{plain:.3f}".removeprefix("0")
                 parts.append(
                     f"A corrected p fits F with ε from {low:.3f} to {high:.3f}; uncorrected, p "
                     f"would be {uncorrected}."
@@ -133,13 +139,6 @@ class Feasibility(Result):
         ]
         columns = ["statistic", "printed", "low", "high", "in_conflict", "remedy", "left_out"]
         return pd.DataFrame(rows, columns=columns).set_index("statistic")
-
-
-def _p_of_f(study: PublishedStudy, epsilon: np.ndarray | float) -> np.ndarray:
-    """Return p at both ends of the printed F, with degrees of freedom times ε."""
-    df = (study.k - 1) * epsilon
-    f_ratio = np.maximum(printed_interval(study.anova["F"]), 0.0)
-    return special.fdtrc(df, df * (study.n - 1), f_ratio)
 
 
 def feasibility(

@@ -96,12 +96,10 @@ class Reconstruction(Result):
         moments = values.mean(axis=0)[None], np.cov(values.T)[None]
         with np.errstate(all="ignore"):
             again = statistics(answer.study, answer.read_as, answer.p_adjust, *moments)
-        rows = []
-        for s in constraints(answer.study):
-            value = float(again[s.name][0])
-            rows.append((*s, value, s.low <= value <= s.high, self.left_out.get(s.name, "")))
-        columns = ["statistic", "printed", "low", "high", "reconstructed", "agrees", "left_out"]
-        table = pd.DataFrame(rows, columns=columns).set_index("statistic")
+        table = answer.table()
+        table["reconstructed"] = [float(again[name][0]) for name in table.index]
+        table["agrees"] = table["reconstructed"].between(table["low"], table["high"])
+        table = table[["printed", "low", "high", "reconstructed", "agrees", "left_out"]]
         table.attrs = dict(RECONSTRUCTED)
         return table
 
