@@ -238,6 +238,12 @@ def test_a_failed_start_lets_the_study_go(make_plan):
         assert server.links()
         with pytest.raises(ValueError, match="is being served already"), StudyServer(plan):
             pass
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(ValueError, match=f"cannot serve on .*, port {port}"):
+            StudyServer(plan, port=port).__enter__()
+    with StudyServer(plan) as server:
+        assert server.links()
 
 
 def test_enrolment_and_requests_at_once_break_no_log(make_plan, client):

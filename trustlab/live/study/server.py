@@ -566,7 +566,7 @@ class StudyServer:
                     f"cannot serve on {self.address}, port {self.port}: {error}"
                 ) from error
         except BaseException:
-            self.held.close()
+            self.close()
             raise
         self.port = sockets[0].getsockname()[1]
         self.thread = threading.Thread(
@@ -574,7 +574,7 @@ class StudyServer:
         )
         self.thread.start()
         if not self.started.wait(10.0):
-            self.held.close()
+            self.close()
             raise ValueError("the server did not start within 10 s; a traceback says why")
         return self
 
@@ -592,6 +592,10 @@ class StudyServer:
         """End the server."""
         self.loop.call_soon_threadsafe(self.ending.set)
         self.thread.join(10.0)
+        self.close()
+
+    def close(self) -> None:
+        """Let another process serve."""
         for participant in self.participants.values():
             participant.close()
         self.held.close()
