@@ -240,7 +240,7 @@ def test_a_failed_start_lets_the_study_go(make_plan):
             pass
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        with pytest.raises(ValueError, match=f"cannot serve on .*, port {port}"):
+        with pytest.raises(ValueError, match=f"cannot be served on .*, port {port}"):
             StudyServer(plan, port=port).__enter__()
     with StudyServer(plan) as server:
         assert server.links()

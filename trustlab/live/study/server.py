@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Awaitable, Container
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
 from urllib.parse import urlsplit
@@ -540,43 +541,42 @@ class StudyServer:
 
     def __enter__(self) -> Self:
         """Begin to serve; one server per study."""
-        folder = self.plan.folder
         try:
-            self.held = Log(folder / SERVED)
-            self.held.append([{"at": time.time(), **made_by()}])
-        except LogError:
+            with ExitStack() as files:
+                sockets = self._opened(files)
+                self.held = files.pop_all()
+        except (OSError, UnicodeError) as error:
             raise ValueError(
-                f"{folder} is being served already, by another process or notebook"
-            ) from None
-        except OSError as error:
-            raise ValueError(
-                f"nothing can be written in {folder} ({error.strerror}): make it writable and see "
-                "that its disk has room before people come"
-            ) from None
-        try:
-            training = drive_of(self.plan.content, "training", stand_in(self.plan, ""), seed=0)
-            prepare(self.plan.task, training)
-            self.holder("")
-            for code in self.plan.present():
-                self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
-            try:
-                sockets = tornado.netutil.bind_sockets(self.port, self.address)
-            except (OSError, UnicodeError) as error:
-                raise ValueError(
-                    f"cannot serve on {self.address}, port {self.port}: {error}"
-                ) from error
-        except BaseException:
-            self.close()
-            raise
+                f"{self.plan.folder} cannot be served on {self.address}, port {self.port}: {error}"
+            ) from error
         self.port = sockets[0].getsockname()[1]
         self.thread = threading.Thread(
             target=asyncio.run, args=(self._serve(sockets),), name="live study", daemon=True
         )
         self.thread.start()
         if not self.started.wait(10.0):
-            self.close()
+            self.held.close()
             raise ValueError("the server did not start within 10 s; a traceback says why")
         return self
+
+    def _opened(self, files: ExitStack) -> list[Any]:
+        """Open all that is served, refuse what cannot be, and return sockets that listen."""
+        folder = self.plan.folder
+        try:
+            self.log = Log(folder / SERVED)
+        except LogError:
+            raise ValueError(
+                f"{folder} is being served already, by another process or notebook"
+            ) from None
+        files.callback(self.log.close)
+        self.log.append([{"at": time.time(), **made_by()}])
+        training = drive_of(self.plan.content, "training", stand_in(self.plan, ""), seed=0)
+        prepare(self.plan.task, training)
+        self.holder("")
+        for code in self.plan.present():
+            self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
+            files.callback(self.participants[code].close)
+        return tornado.netutil.bind_sockets(self.port, self.address)
 
     def wait(self) -> None:
         """Return when interrupted."""
@@ -592,10 +592,4 @@ class StudyServer:
         """End the server."""
         self.loop.call_soon_threadsafe(self.ending.set)
         self.thread.join(10.0)
-        self.close()
-
-    def close(self) -> None:
-        """Let another process serve."""
-        for participant in self.participants.values():
-            participant.close()
         self.held.close()
