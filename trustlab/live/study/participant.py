@@ -15,7 +15,7 @@ import numpy as np
 from trustlab.live.log import Log
 from trustlab.live.study.drives import Attempt, identified, planned_minutes, stand_in
 from trustlab.live.study.pages import AnswerError, Item, Step
-from trustlab.live.study.plan import EVENTS, DeletedError, Plan, file_origin, note_link
+from trustlab.live.study.plan import EVENTS, DeletedError, Plan, file_origin, is_deleted, note_link
 from trustlab.live.study.progress import Progress, progress_of
 from trustlab.live.trial import Trial
 
@@ -61,7 +61,7 @@ class Participant:
 
     def add(self, kind: str, **facts: Any) -> None:
         """Append an event; it is on the disk when this returns."""
-        if self.plan.is_deleted(self.code):
+        if is_deleted(self.plan.folder, self.code):
             raise DeletedError(f"participant {self.code} was deleted")
         event = {"at": round(time.time(), 3), "kind": kind, **facts}
         self.log.append([event])

@@ -140,15 +140,11 @@ class Plan:
 
     def deleted(self) -> list[str]:
         """Return the codes of the participants who were deleted."""
-        return [code for code in self.orders if self.is_deleted(code)]
+        return [code for code in self.orders if is_deleted(self.folder, code)]
 
     def present(self) -> list[str]:
         """Return the codes of all who were not deleted."""
-        return [code for code in self.orders if not self.is_deleted(code)]
-
-    def is_deleted(self, code: str) -> bool:
-        """Whether a participant was deleted."""
-        return (self.folder / f"{code}{TOMBSTONE}").exists()
+        return [code for code in self.orders if not is_deleted(self.folder, code)]
 
 
 _links_lock = threading.Lock()
@@ -231,6 +227,11 @@ def read_tokens(folder: Path) -> dict[str, str]:
 def write_tokens(folder: Path, tokens: dict[str, str]) -> None:
     """Write tokens by name, for nobody else on this machine."""
     write_atomically(tokens_path(folder), json.dumps(tokens, indent=1), mode=0o600)
+
+
+def is_deleted(folder: Path, code: str) -> bool:
+    """Return whether a participant was deleted."""
+    return (folder / f"{code}{TOMBSTONE}").exists()
 
 
 def delete_participant(folder: Path, code: str) -> None:

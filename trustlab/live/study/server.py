@@ -31,6 +31,7 @@ from trustlab.live.study.plan import (
     JOIN,
     DeletedError,
     Plan,
+    is_deleted,
     read_tokens,
     tokens_path,
 )
@@ -390,7 +391,7 @@ class StudyServer:
 
     def participant(self, code: str) -> Participant:
         """Return a participant."""
-        if self.plan.is_deleted(code):
+        if is_deleted(self.plan.folder, code):
             if participant := self.participants.pop(code, None):
                 participant.close()
             raise DeletedError(f"participant {code} was deleted")
