@@ -301,6 +301,23 @@ def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(
     assert tl.read_live_study(served.plan.folder).faults().empty
 
 
+@pytest.mark.parametrize("act", ["restart", "end"])
+def test_what_cannot_be_noted_ends_no_drive(served, client, page, monkeypatch, act):
+    """Else the drive would be over, and what there is of it would count as all."""
+    page.drive(0, 5)
+    participant = served.server.participant("P01")
+
+    def full(entries):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(participant.log, "append", full)
+        body = {"participant": "P01", "action": act, "page": 1}
+        assert client(served.server.experimenter + "/act", body).status == 507
+    assert page.drive(5, 5)["k"] == 10
+    assert record(served.plan).end == ""
+
+
 def test_the_experimenter_sees_adds_and_ends(served, client, page):
     experimenter = served.server.experimenter
     page.drive(0, 5)

@@ -194,9 +194,9 @@ class Participant:
             self.add("model", page=step.index, attempt=attempt.number, **model)
 
     def _end(self, source: str) -> None:
+        self.add("end", source=source, page=self.step.index)
         if self.trial is not None:
             self.trial.finish("the participation ended")
-        self.add("end", source=source, page=self.step.index)
 
     def enrol(self, body: dict) -> bool:
         """Take this place for somebody who came by the link for joining, if it is free."""
@@ -215,10 +215,11 @@ class Participant:
         if not attempts or not attempts[0].path.exists():
             raise AnswerError("this page is no drive that was begun")
         (attempt,) = attempts
+        # First of all: a drive that is over and not begun again would count.
+        self.add("restart", page=attempt.step.index, attempt=attempt.number)
         if self.trial is not None and self.trial.log.path == attempt.path:
             self.trial.finish("the experimenter let it be driven again")
             self.trial = None
-        self.add("restart", page=attempt.step.index, attempt=attempt.number)
 
     def experimenter_note(self, body: dict) -> None:
         """Add a note of the experimenter's."""
