@@ -246,6 +246,30 @@ def test_a_failed_start_lets_the_study_go(make_plan):
         assert server.links()
 
 
+@pytest.mark.parametrize("lost", ["lines", "file", "folder"])
+def test_events_that_were_lost_are_not_gone_on_behind(make_plan, client, lost):
+    """Else the last link would be written anew, and nobody could see that there had been more."""
+    plan = make_plan()
+    with StudyServer(plan) as server:
+        client(server.links()["P01"] + "/answers", CONSENT)
+        client(server.links()["P01"] + "/withdraw", {})
+    folder = plan.folder / "P01"
+    events = folder / "events.jsonl"
+    lines = events.read_text().splitlines(keepends=True)
+    events.write_text(lines[0])
+    if lost != "lines":
+        events.unlink()
+    if lost == "folder":
+        folder.rmdir()
+    with pytest.raises(ValueError, match=r"events.jsonl.* missing; restore it"):
+        StudyServer(plan).__enter__()
+    assert tl.read_live_study(plan.folder).faults()["participant"].tolist() == ["P01"]
+    folder.mkdir(exist_ok=True)
+    events.write_text("".join(lines))
+    with StudyServer(plan) as server:
+        assert server.links()
+
+
 def test_enrolment_and_requests_at_once_break_no_log(make_plan, client):
     plan = make_plan(participants=20)
     with StudyServer(plan, enrol=True) as server:

@@ -12,10 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.live.log import Log
+from trustlab.live.log import Log, LogError
 from trustlab.live.study.drives import Attempt, identified, planned_minutes, stand_in
 from trustlab.live.study.pages import AnswerError, Item, Step
-from trustlab.live.study.plan import EVENTS, DeletedError, Plan, file_origin, is_deleted, note_link
+from trustlab.live.study.plan import (
+    EVENTS,
+    DeletedError,
+    Plan,
+    file_origin,
+    is_deleted,
+    note_link,
+    read_links,
+)
 from trustlab.live.study.progress import Progress, progress_of
 from trustlab.live.trial import Trial
 
@@ -47,6 +55,14 @@ class Participant:
         self.steps = plan.steps(code)
         self.folder.mkdir(exist_ok=True)  # some copies leave empty folders out
         self.log = Log(self.folder / f"{EVENTS}.jsonl", file_origin(plan.digest, code, EVENTS))
+        known = read_links(plan.folder).get(code)
+        if known not in (None, *self.log.links):
+            # Another event would be noted in place of the last one, and nobody could see the loss.
+            self.log.close()
+            raise LogError(
+                f"{self.log.path}: its last lines are missing; restore it from a copy, or delete "
+                f"{code}"
+            )
         self.events: list[dict] = self.log.entries
         self.trial: Trial | None = None
         self.hand: Any = None
