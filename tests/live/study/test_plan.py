@@ -17,7 +17,7 @@ from trustlab.live.hands import HumanHand
 from trustlab.live.study import live_study as planning
 from trustlab.live.study.__main__ import main
 from trustlab.live.study.drives import drive_of
-from trustlab.live.study.plan import read_tokens
+from trustlab.live.study.plan import links_path, read_tokens, tokens_path
 from trustlab.live.study.server import StudyServer
 from trustlab.live.tasks.ground_robot import TASK, Drive
 from trustlab.testbeds.ground_robot.kernel import COLUMNS
@@ -118,6 +118,16 @@ def test_a_folder_lost_in_a_copy_is_nobody_who_was_deleted(make_plan, client):
     assert tl.read_live_study(plan.folder).deleted == ()
     with StudyServer(plan) as server:
         assert client(server.links()["P02"] + "/state").json["page"] == 0
+
+
+def test_a_damaged_file_beside_the_study_is_named(make_plan):
+    plan = make_plan()
+    for path in (links_path(plan.folder), tokens_path(plan.folder)):
+        path.write_bytes(b'{"P01": "\xff')
+        path.chmod(0o600)
+        with pytest.raises(ValueError, match=f"{path.name} was damaged"):
+            StudyServer(plan).__enter__()
+        path.unlink()
 
 
 def test_settings_of_flights_and_teams_are_named():

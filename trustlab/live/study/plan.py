@@ -186,6 +186,13 @@ def file_origin(plan: str, code: str, name: str) -> str:
 # --------------------------------------------------------------------------------------------------
 
 
+def _content(path: Path) -> dict[str, str]:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path} was damaged ({error}); restore it from a copy") from None
+
+
 def links_path(folder: Path) -> Path:
     """Return where the last links of events are kept."""
     return folder.with_name(f"{folder.name}.links.json")
@@ -194,7 +201,7 @@ def links_path(folder: Path) -> Path:
 def read_links(folder: Path) -> dict[str, str]:
     """Return the last link of each participant's events, as it was written down."""
     path = links_path(folder)
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    return _content(path) if path.exists() else {}
 
 
 def note_link(folder: Path, code: str, link: str | None) -> None:
@@ -221,7 +228,7 @@ def read_tokens(folder: Path) -> dict[str, str]:
         )
     if path.stat().st_mode & 0o077:
         raise ValueError(f"{path} can be read by others on this machine; run: chmod 600 {path}")
-    return json.loads(path.read_text(encoding="utf-8"))
+    return _content(path)
 
 
 def write_tokens(folder: Path, tokens: dict[str, str]) -> None:
