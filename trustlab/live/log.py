@@ -110,6 +110,8 @@ class Log:
     ----------
     entries : list
         What the file held when it was opened.
+    links : list of str
+        The links that the file held when it was opened.
     link : str
         The link of the last line, or the origin.
     torn : int
@@ -132,8 +134,8 @@ class Log:
             self.close()
             raise LogError(f"{path} is being written; end that first") from None
         reading = read_log(path, origin)
-        self.entries, self.torn = reading.entries, reading.torn
-        self.link = reading.links[-1]
+        self.entries, self.links, self.torn = reading.entries, reading.links, reading.torn
+        self.link = self.links[-1]
         if reading.fault and not self.torn:
             self.close()
             raise LogError(f"{path}: {reading.fault}; restore it from a copy, or move it away")

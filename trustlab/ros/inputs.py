@@ -7,13 +7,13 @@ from typing import Any
 
 from trustlab.models.checks import not_negative, of_class, one_of, positive, set_checked
 
-# The actions that make sense when an input falls silent. A velocity is never held: the robot would
-# drive on blindly; and nobody can take over the task of odometry.
+# The actions that make sense when an input falls silent, the usual one first. A velocity is never
+# held: the robot would drive on blindly; and nobody can take over the task of odometry.
 INPUTS = {
     "odometry": ("stop",),
-    "operator": ("stop", "hand over"),
-    "autonomy": ("stop", "hand over"),
-    "path_error": ("stop", "hold"),
+    "operator": ("hand over", "stop"),
+    "autonomy": ("hand over", "stop"),
+    "path_error": ("hold", "stop"),
 }
 FIELDS = {
     "odometry": ("x", "y"),
@@ -106,9 +106,7 @@ class Input:
 
 
 def _watchdogs() -> dict[str, Watchdog]:
-    actions = {"odometry": "stop", "operator": "hand over"}
-    actions |= {"autonomy": "hand over", "path_error": "hold"}
-    return {name: Watchdog(0.5, action) for name, action in actions.items()}
+    return {name: Watchdog(0.5, actions[0]) for name, actions in INPUTS.items()}
 
 
 @dataclass(frozen=True)

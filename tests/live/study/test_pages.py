@@ -131,6 +131,8 @@ def test_a_page_that_belongs_to_no_drive_has_no_number(toml):
         ("[trust]\nitems=[{name='a', text='t', chioces=[]}]", "'choices'.* got 'chioces'"),
         ("[trust]\ngroup=1", r"pages.toml, \[trust\]: group must be of type str"),
         ("[trust]\nsection='sometimes'", "section must be one of 'start', 'each', 'end'"),
+        ("[drive]\nsection='start'", "section must be one of 'each'"),
+        ("[training]\nkind='end'", "got 'kind'"),
         ("[trust]\nitems=3", "items must be of type list, got 3"),
         ("[trust]\nitems=[{name='a', text='t', reversed=1}]", "reversed must be of type bool"),
         (

@@ -15,7 +15,7 @@ import trustlab as tl
 from tests.live.study.recording import entries, events
 from trustlab.live.study.drives import FROM_FIT, FROM_PART, FROM_STAND_IN, identified
 from trustlab.live.study.export import write_export
-from trustlab.live.study.settings import model_of
+from trustlab.live.tasks.ground_robot import model_of
 from trustlab.live.trial import Trial
 from trustlab.testbeds import published_operator
 from trustlab.testbeds.ground_robot.conditions import drive_modes

@@ -238,6 +238,36 @@ def test_a_failed_start_lets_the_study_go(make_plan):
         assert server.links()
         with pytest.raises(ValueError, match="is being served already"), StudyServer(plan):
             pass
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(ValueError, match=f"cannot be served on .*, port {port}"):
+            StudyServer(plan, port=port).__enter__()
+    with StudyServer(plan) as server:
+        assert server.links()
+
+
+@pytest.mark.parametrize("lost", ["lines", "file", "folder"])
+def test_events_that_were_lost_are_not_gone_on_behind(make_plan, client, lost):
+    """Else the last link would be written anew, and nobody could see that there had been more."""
+    plan = make_plan()
+    with StudyServer(plan) as server:
+        client(server.links()["P01"] + "/answers", CONSENT)
+        client(server.links()["P01"] + "/withdraw", {})
+    folder = plan.folder / "P01"
+    events = folder / "events.jsonl"
+    lines = events.read_text().splitlines(keepends=True)
+    events.write_text(lines[0])
+    if lost != "lines":
+        events.unlink()
+    if lost == "folder":
+        folder.rmdir()
+    with pytest.raises(ValueError, match=r"events.jsonl.* missing; restore it"):
+        StudyServer(plan).__enter__()
+    assert tl.read_live_study(plan.folder).faults()["participant"].tolist() == ["P01"]
+    folder.mkdir(exist_ok=True)
+    events.write_text("".join(lines))
+    with StudyServer(plan) as server:
+        assert server.links()
 
 
 def test_enrolment_and_requests_at_once_break_no_log(make_plan, client):
@@ -293,6 +323,23 @@ def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(
     assert first.end == "the experimenter let it be driven again"
     assert first.settings["seed"] != second.settings["seed"]
     assert tl.read_live_study(served.plan.folder).faults().empty
+
+
+@pytest.mark.parametrize("act", ["restart", "end"])
+def test_what_cannot_be_noted_ends_no_drive(served, client, page, monkeypatch, act):
+    """Else the drive would be over, and what there is of it would count as all."""
+    page.drive(0, 5)
+    participant = served.server.participant("P01")
+
+    def full(entries):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(participant.log, "append", full)
+        body = {"participant": "P01", "action": act, "page": 1}
+        assert client(served.server.experimenter + "/act", body).status == 507
+    assert page.drive(5, 5)["k"] == 10
+    assert record(served.plan).end == ""
 
 
 def test_the_experimenter_sees_adds_and_ends(served, client, page):

@@ -4,16 +4,11 @@ Team and teleoperation in Chromium, with real pointer, keys and wheel, against a
 Oracle: the replay of the commands that were logged, and where the mouse was.
 """
 
-import time
-
-import numpy as np
 import pytest
 
 import trustlab as tl
-from tests.live.study.recording import record
 from tests.live.study.test_browser import go_on, next_page, opened, until
 from trustlab.live.study.server import StudyServer
-from trustlab.trust.dynamics import MODELS
 
 pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 K = "(self.study.run?.state().have ?? -1)"
@@ -83,45 +78,3 @@ def test_a_person_leads_a_team_in_the_browser(tmp_path, through):
     assert by_hand["leader"][-1] == 2, "from the end of the dwell time on"
     assert study.measures["pauses"].max() >= 1, "the page was loaded again"
     assert study.measures["period_median"].tolist() == pytest.approx([0.05, 0.05], abs=0.02)
-
-
-def test_a_server_that_begins_anew_goes_on_with_the_run(tmp_path, browser):
-    settings = {"duration": 4.0, "training": 4.0, "trust": MODELS["asymmetric"]()}
-    plan = tl.LiveStudy(tmp_path / "s", ["most_trusted", "by_hand"], 2, task="team", **settings)
-    with StudyServer(plan) as server:
-        port, links = server.port, server.links()
-        page = opened(browser.new_context(), links["P01"])
-        number, kind = next_page(page)
-        go_on(page, kind)
-        next_page(page, number)
-        go_on(page, "drive")
-        until(page, f"{K} > 10")
-        pointing(page, -0.5, 0.5)
-    have = page.evaluate(K)
-    time.sleep(0.8)
-    state = page.evaluate("self.study.run.state()")
-    assert state["still"], "the task stands still"
-    assert state["made"] <= have + 20
-    with StudyServer(plan, port=port):
-        until(page, "self.study.page > 1", 90)
-        assert page.faults == []
-    assert tl.read_live_study(plan.folder).faults().empty
-    assert len(record(plan).rows) == 80
-
-
-def test_a_person_flies_and_allocates_by_the_wheel(tmp_path, through):
-    settings = {"duration": 3.0, "training": 1.0}
-    plan = tl.LiveStudy(tmp_path / "s", ["MMI", "TMIG"], 2, task="teleoperation", **settings)
-
-    def act(page):
-        until(page, f"{K} > 5")
-        pointing(page, 0.3, -0.4)
-        page.mouse.wheel(0, 100)
-        page.mouse.wheel(0, 100)
-        until(page, "!document.querySelector('#drive')")
-
-    study = through(plan, act)
-    runs = {session.metadata.condition: session for session in study.sessions()}
-    assert runs["MMI"]["alpha_choice"][-1] == pytest.approx(0.9)
-    assert set(runs["TMIG"]["alpha_choice"]) == {-1.0}
-    assert np.isfinite(runs["TMIG"].data.to_numpy()).all()

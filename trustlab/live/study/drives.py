@@ -16,8 +16,8 @@ import numpy as np
 
 from trustlab.live.study.pages import Step
 from trustlab.live.study.plan import Plan, file_origin
-from trustlab.live.study.settings import model_of
 from trustlab.live.task import PERIOD, task_named
+from trustlab.live.tasks.ground_robot import model_of
 from trustlab.live.trial import Record, read_record
 from trustlab.sessions.session import Session
 

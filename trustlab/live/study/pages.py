@@ -20,17 +20,21 @@ LONGEST_ANSWER = 1000
 """Characters that a participant may write in one answer."""
 
 SECTIONS = ("start", "each", "end")
-KINDS = ("form", "drive", "end")
+FIXED = {"drive": ("each",), "debriefing": ("end",)}
+"""Where these two pages must be."""
+
 ITEMS = ("scale", "choice", "text", "check")
 SCORED = ("nasa_tlx", "trust", "satisfaction", "likert")
 SCALE = ("low", "high", "step", "left", "right")
 """What a page may give for all its items."""
 
+OWN = ("title", "text", "section", "scored", "items", "group")
+KEYS = (*OWN, *SCALE, "before", "after", "skip")
+"""What the table of a page may hold; its kind is no lab's to choose."""
+
 LISTS = ("items", "choices")
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
-FIXED = ("training", "identification", "drive", "debriefing")
-"""Pages whose kind the study fixes."""
 
 
 class AnswerError(ValueError):
@@ -174,10 +178,6 @@ def steps_of(pages: Iterable[StudyPage], order: Iterable[str], group: str = "") 
     return steps
 
 
-KEYS = (*list(StudyPage.__annotations__)[1:], *SCALE, "before", "after", "skip")
-"""What the table of a page may hold."""
-
-
 # from files
 # --------------------------------------------------------------------------------------------------
 
@@ -233,7 +233,7 @@ def _changed(tables: dict[str, dict], name: str, table: dict, where: str) -> dic
             )
         if not skip:
             return tables | {name: tables[name] | table}
-        if name in ("drive", "debriefing"):
+        if name in FIXED:
             raise ValueError(f"{where} cannot be left out of a study")
         return {key: page for key, page in tables.items() if key != name}
     follows, anchor = "after" in place, next(iter(place.values()), None)
@@ -270,10 +270,8 @@ def _page(where: str, name: str, table: dict) -> StudyPage:
     page = StudyPage(**own | {"items": items, "text": text})
     if not page.title.strip() or not text:
         raise ValueError(f"{where} needs a title and a text")
-    # A page of a lab's own is a form.
-    one_of(f"{where}: kind", page.kind, KINDS if name in FIXED else ("form",))
     one_of(f"{where}: scored", page.scored, ("", *SCORED))
-    one_of(f"{where}: section", page.section, SECTIONS)
+    one_of(f"{where}: section", page.section, FIXED.get(name, SECTIONS))
     names = [item.name for item in page.items]
     if len(set(names)) < len(names):
         raise ValueError(f"{where}: two items have the same name: {names}")

@@ -12,10 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.live.log import Log
+from trustlab.live.log import Log, LogError
 from trustlab.live.study.drives import Attempt, identified, planned_minutes, stand_in
 from trustlab.live.study.pages import AnswerError, Item, Step
-from trustlab.live.study.plan import EVENTS, DeletedError, Plan, file_origin, note_link
+from trustlab.live.study.plan import (
+    EVENTS,
+    DeletedError,
+    Plan,
+    file_origin,
+    is_deleted,
+    note_link,
+    read_links,
+)
 from trustlab.live.study.progress import Progress, progress_of
 from trustlab.live.trial import Trial
 
@@ -47,6 +55,14 @@ class Participant:
         self.steps = plan.steps(code)
         self.folder.mkdir(exist_ok=True)  # some copies leave empty folders out
         self.log = Log(self.folder / f"{EVENTS}.jsonl", file_origin(plan.digest, code, EVENTS))
+        known = read_links(plan.folder).get(code)
+        if known not in (None, *self.log.links):
+            # Another event would be noted in place of the last one, and nobody could see the loss.
+            self.log.close()
+            raise LogError(
+                f"{self.log.path}: its last lines are missing; restore it from a copy, or delete "
+                f"{code}"
+            )
         self.events: list[dict] = self.log.entries
         self.trial: Trial | None = None
         self.hand: Any = None
@@ -61,7 +77,7 @@ class Participant:
 
     def add(self, kind: str, **facts: Any) -> None:
         """Append an event; it is on the disk when this returns."""
-        if self.plan.is_deleted(self.code):
+        if is_deleted(self.plan.folder, self.code):
             raise DeletedError(f"participant {self.code} was deleted")
         event = {"at": round(time.time(), 3), "kind": kind, **facts}
         self.log.append([event])
@@ -194,9 +210,9 @@ class Participant:
             self.add("model", page=step.index, attempt=attempt.number, **model)
 
     def _end(self, source: str) -> None:
+        self.add("end", source=source, page=self.step.index)
         if self.trial is not None:
             self.trial.finish("the participation ended")
-        self.add("end", source=source, page=self.step.index)
 
     def enrol(self, body: dict) -> bool:
         """Take this place for somebody who came by the link for joining, if it is free."""
@@ -215,10 +231,11 @@ class Participant:
         if not attempts or not attempts[0].path.exists():
             raise AnswerError("this page is no drive that was begun")
         (attempt,) = attempts
+        # First of all: a drive that is over and not begun again would count.
+        self.add("restart", page=attempt.step.index, attempt=attempt.number)
         if self.trial is not None and self.trial.log.path == attempt.path:
             self.trial.finish("the experimenter let it be driven again")
             self.trial = None
-        self.add("restart", page=attempt.step.index, attempt=attempt.number)
 
     def experimenter_note(self, body: dict) -> None:
         """Add a note of the experimenter's."""

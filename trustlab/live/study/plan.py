@@ -140,15 +140,11 @@ class Plan:
 
     def deleted(self) -> list[str]:
         """Return the codes of the participants who were deleted."""
-        return [code for code in self.orders if self.is_deleted(code)]
+        return [code for code in self.orders if is_deleted(self.folder, code)]
 
     def present(self) -> list[str]:
         """Return the codes of all who were not deleted."""
-        return [code for code in self.orders if not self.is_deleted(code)]
-
-    def is_deleted(self, code: str) -> bool:
-        """Whether a participant was deleted."""
-        return (self.folder / f"{code}{TOMBSTONE}").exists()
+        return [code for code in self.orders if not is_deleted(self.folder, code)]
 
 
 _links_lock = threading.Lock()
@@ -190,6 +186,13 @@ def file_origin(plan: str, code: str, name: str) -> str:
 # --------------------------------------------------------------------------------------------------
 
 
+def _content(path: Path) -> dict[str, str]:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path} was damaged ({error}); restore it from a copy") from None
+
+
 def links_path(folder: Path) -> Path:
     """Return where the last links of events are kept."""
     return folder.with_name(f"{folder.name}.links.json")
@@ -198,7 +201,7 @@ def links_path(folder: Path) -> Path:
 def read_links(folder: Path) -> dict[str, str]:
     """Return the last link of each participant's events, as it was written down."""
     path = links_path(folder)
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    return _content(path) if path.exists() else {}
 
 
 def note_link(folder: Path, code: str, link: str | None) -> None:
@@ -225,12 +228,17 @@ def read_tokens(folder: Path) -> dict[str, str]:
         )
     if path.stat().st_mode & 0o077:
         raise ValueError(f"{path} can be read by others on this machine; run: chmod 600 {path}")
-    return json.loads(path.read_text(encoding="utf-8"))
+    return _content(path)
 
 
 def write_tokens(folder: Path, tokens: dict[str, str]) -> None:
     """Write tokens by name, for nobody else on this machine."""
     write_atomically(tokens_path(folder), json.dumps(tokens, indent=1), mode=0o600)
+
+
+def is_deleted(folder: Path, code: str) -> bool:
+    """Return whether a participant was deleted."""
+    return (folder / f"{code}{TOMBSTONE}").exists()
 
 
 def delete_participant(folder: Path, code: str) -> None:

@@ -12,12 +12,12 @@ from __future__ import annotations
 import asyncio
 import json
 import resource
-import secrets
 import tempfile
 import threading
 import time
 from collections.abc import Awaitable, Container
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
 from urllib.parse import urlsplit
@@ -31,6 +31,7 @@ from trustlab.live.study.plan import (
     JOIN,
     DeletedError,
     Plan,
+    is_deleted,
     read_tokens,
     tokens_path,
 )
@@ -385,15 +386,12 @@ class StudyServer:
         at = tokens_path(self.plan.folder).stat().st_mtime_ns
         if at != self.tokens_at:
             self.tokens, self.tokens_at = read_tokens(self.plan.folder), at
-        holder = None
-        for name, known in self.tokens.items():  # all are compared: the time taken tells nothing
-            if secrets.compare_digest(known.encode(), token.encode()):
-                holder = name
-        return holder
+        # A lookup by hash: the time that it takes tells nothing of the tokens.
+        return {known: name for name, known in self.tokens.items()}.get(token)
 
     def participant(self, code: str) -> Participant:
         """Return a participant."""
-        if self.plan.is_deleted(code):
+        if is_deleted(self.plan.folder, code):
             if participant := self.participants.pop(code, None):
                 participant.close()
             raise DeletedError(f"participant {code} was deleted")
@@ -540,34 +538,14 @@ class StudyServer:
 
     def __enter__(self) -> Self:
         """Begin to serve; one server per study."""
-        folder = self.plan.folder
         try:
-            self.held = Log(folder / SERVED)
-            self.held.append([{"at": time.time(), **made_by()}])
-        except LogError:
+            with ExitStack() as files:
+                sockets = self._opened(files)
+                self.held = files.pop_all()
+        except (OSError, UnicodeError) as error:
             raise ValueError(
-                f"{folder} is being served already, by another process or notebook"
-            ) from None
-        except OSError as error:
-            raise ValueError(
-                f"nothing can be written in {folder} ({error.strerror}): make it writable and see "
-                "that its disk has room before people come"
-            ) from None
-        try:
-            training = drive_of(self.plan.content, "training", stand_in(self.plan, ""), seed=0)
-            prepare(self.plan.task, training)
-            self.holder("")
-            for code in self.plan.present():
-                self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
-            try:
-                sockets = tornado.netutil.bind_sockets(self.port, self.address)
-            except (OSError, UnicodeError) as error:
-                raise ValueError(
-                    f"cannot serve on {self.address}, port {self.port}: {error}"
-                ) from error
-        except BaseException:
-            self.held.close()
-            raise
+                f"{self.plan.folder} cannot be served on {self.address}, port {self.port}: {error}"
+            ) from error
         self.port = sockets[0].getsockname()[1]
         self.thread = threading.Thread(
             target=asyncio.run, args=(self._serve(sockets),), name="live study", daemon=True
@@ -577,6 +555,25 @@ class StudyServer:
             self.held.close()
             raise ValueError("the server did not start within 10 s; a traceback says why")
         return self
+
+    def _opened(self, files: ExitStack) -> list[Any]:
+        """Open all that is served, refuse what cannot be, and return sockets that listen."""
+        folder = self.plan.folder
+        try:
+            self.log = Log(folder / SERVED)
+        except LogError:
+            raise ValueError(
+                f"{folder} is being served already, by another process or notebook"
+            ) from None
+        files.callback(self.log.close)
+        self.log.append([{"at": time.time(), **made_by()}])
+        training = drive_of(self.plan.content, "training", stand_in(self.plan, ""), seed=0)
+        prepare(self.plan.task, training)
+        self.holder("")
+        for code in self.plan.present():
+            self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
+            files.callback(self.participants[code].close)
+        return tornado.netutil.bind_sockets(self.port, self.address)
 
     def wait(self) -> None:
         """Return when interrupted."""
@@ -592,6 +589,4 @@ class StudyServer:
         """End the server."""
         self.loop.call_soon_threadsafe(self.ending.set)
         self.thread.join(10.0)
-        for participant in self.participants.values():
-            participant.close()
         self.held.close()
