@@ -253,12 +253,15 @@ class TeamRun(Result):
         ValueError
             If the file is no .gif, its folder does not exist, or the rate is not positive.
         """
-        from trustlab.testbeds.team_animation import write_film
+        from trustlab.testbeds.team_animation import pictures, samples_shown
 
         target, rate = path_of("path", path), positive("rate", rate)
         if target.suffix != ".gif" or not target.parent.is_dir():
             raise ValueError(
                 f'path must be a file such as "team.gif" in a folder that exists, got "{target}"'
             )
-        write_film(self, target, rate)
+        samples = samples_shown(self, rate)
+        first, *others = pictures(self, samples)
+        pause = 1000.0 * float(self.t[samples[-1]] - self.t[0]) / rate / samples.size  # [ms]
+        first.save(target, save_all=True, append_images=others, duration=pause, loop=0)
         return target
