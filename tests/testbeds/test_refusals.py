@@ -36,6 +36,7 @@ def endless(k):
         ({0.0: PATH, -1.0: PATH}, {}, "must be 0 and others after 0"),
         (PATH, {"delay": (0.2, 1e9)}, "longer than the run"),
         (PATH, {"start": np.zeros((5, 3))}, "start must have shape"),
+        (PATH, {"record_every": 0.0015}, "must be a multiple of sample_time"),
         (PATH, {"delay": 0.5, "min_dwell": 0.2}, "must be greater than the delay"),
     ],
 )

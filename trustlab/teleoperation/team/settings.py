@@ -90,7 +90,14 @@ class TeamTrial(Checked):
     @property
     def samples_per_row(self) -> int:
         """How many samples a recorded row stands for."""
-        return max(round((self.record_every or 0.01) / self.sample_time), 1)
+        T = self.sample_time
+        interval = self.record_every or max(T, 0.01)
+        every = max(round(interval / T), 1)
+        if self.record_every and abs(every * T - interval) > 1e-6 * interval:
+            raise ValueError(
+                f"record_every must be a multiple of sample_time = {T:g} s, got {interval:g}"
+            )
+        return every
 
 
 @dataclass(frozen=True)
