@@ -36,15 +36,14 @@ MODULES = {
     "allocation/test_correction_exhaustive.py",
     "allocation/invariant": "allocation/test_invariant_bounds.py",
     "allocation/optimum": "allocation/test_optimum.py",
-    "allocation/limits": "allocation/test_bounds_as_printed.py",
+    "allocation/limits": "allocation/test_bounds.py",
     "allocation/rules": "allocation/test_rules.py",
-    "allocation/bounds": "allocation/test_bounds_as_printed.py",
+    "allocation/bounds": "allocation/test_bounds.py",
     "allocation/steady": "allocation/test_limit_cycle.py",
     "allocation/thresholds": "allocation/test_thresholds.py allocation/test_posterior_choice.py",
     "teleoperation/ports/device": "teleoperation/test_haptic_device.py "
     "teleoperation/test_passivity.py",
-    "teleoperation/ports/waves": "teleoperation/test_ledger.py teleoperation/test_channel.py "
-    "teleoperation/test_transparency.py",
+    "teleoperation/ports/waves": "teleoperation/test_ledger.py teleoperation/test_channel.py",
     "sessions/metrics": "sessions/test_metrics.py",
     "studies/anova": "studies/test_anova.py studies/test_factorial.py studies/test_effect_sizes.py",
 }

@@ -1,13 +1,16 @@
 """
-Claim 2: what makes the two-port of Proposition 3 passive, found from H alone, on signals, and with
-guards removed.
+Filters of the channel, and what it makes transparent.
+
+Oracles: python-control; the channel written out as transfer functions.
 """
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from tests.signals import random_signals
+from tests.loops import random_signals
+from trustlab.teleoperation import STUDIES, plot_scales
 from trustlab.teleoperation.filters import (
     TwoPortFilter,
     corrected_filter,
@@ -15,6 +18,11 @@ from trustlab.teleoperation.filters import (
     printed_filter,
     sinusoid_energy,
 )
+from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.transparency import dominance
+
+# --- filters --------------------------------------------------------------------------------------
+
 
 T = 1e-3
 
@@ -93,3 +101,48 @@ def test_signals_and_storage_of_one_sample():
     assert run.storage[0] == pytest.approx(stored, rel=1e-12)
     np.testing.assert_allclose(run.y_1[0], 0.5 * a - two_port.k12 * np.array([0.0, 2.0]))
     np.testing.assert_allclose(run.y_2[0], two_port.k21 * np.array([1.0, 0.0]) + 0.5 * c)
+
+
+# --- transparency ---------------------------------------------------------------------------------
+
+
+mpl.use("Agg")
+SETTINGS = settings(max_examples=60, deadline=None, derandomize=True)
+share = st.floats(0.02, 1.0)
+
+
+@st.composite
+def channels(draw):
+    alphas, betas = sorted((draw(share), draw(share))), sorted((draw(share), draw(share)))
+    return Scattering(draw(st.floats(0.1, 10.0)), alphas[0], alphas[1], betas[0], betas[1])
+
+
+@SETTINGS
+@given(channels())
+def test_dominance_is_the_ratio_of_the_coefficients_of_3_22(channel):
+    """Oracle: the closed forms of its docstring."""
+    b, alpha, beta = channel.b, channel.alpha_max, channel.beta_max
+    expected = {
+        "force_operator": np.sqrt(2.0 / (b * beta)),
+        "force_robot": np.sqrt(2.0 * alpha / b),
+        "velocity_robot": np.sqrt(2.0 * b / alpha),
+        "velocity_operator": np.sqrt(2.0 * b * beta),
+    }
+    assert dominance(channel) == pytest.approx(expected, rel=1e-12)
+
+
+# Figures
+
+
+def test_scales_are_those_of_the_settings():
+    """Oracle: (3.5) by hand, from upper to lower bound as trust grows."""
+    ends = STUDIES["main"].scattering
+    lines = {line.get_label(): line for line in plot_scales(STUDIES["main"]).lines}
+    for symbol, low, high in (
+        ("α", ends.alpha_min, ends.alpha_max),
+        ("β", ends.beta_min, ends.beta_max),
+    ):
+        trust, scale = lines[f"{symbol}, logistic"].get_data()
+        expected = high + (low - high) / (1.0 + np.exp(-10.0 * (trust - 0.5)))
+        np.testing.assert_allclose(scale, expected, rtol=1e-12)
+        assert set(lines[f"{symbol}, step"].get_ydata()) == {low, high}

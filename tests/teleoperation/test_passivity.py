@@ -1,17 +1,24 @@
 """
-Theorem 4 in discrete time: observed energy, force and deficit of both controllers; closed forms of
-the yielding port.
+Passivity controllers, the energies of a session, and the share of a leader's push.
+
+Oracles: energy balances of the logged signals; sessions that were made passive and not.
 """
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.optimize import minimize_scalar
 
+import trustlab as tl
 from trustlab.teleoperation.ports.device import (
     PassivityController,
     activation,
 )
+from trustlab.teleoperation.team.kernel import push_share
+
+# --- controllers ----------------------------------------------------------------------------------
+
 
 T = 0.01
 SETTINGS = settings(max_examples=80, deadline=None, derandomize=True)
@@ -81,3 +88,92 @@ def test_a_port_that_stands_still_is_not_damped(method):
     controller.step([1.0], [-1.0])
     done = controller.step([0.0], [-3.0])
     assert (done.force.tolist(), done.z, controller.energy) == ([-3.0], 0.0, done.energy)
+
+
+# --- is a session stable? -------------------------------------------------------------------------
+
+
+SIGNALS = [f"{name}_x" for name in ("r_m", "f_m", "r_s", "f_s")]
+
+
+def session(columns):
+    t = pd.Index(0.01 * np.arange(len(columns)), name="t")
+    return tl.Session(pd.DataFrame(columns, index=t, columns=SIGNALS))
+
+
+@pytest.mark.parametrize("guidance", ["at_operator", "through_channel"])
+def test_energies_are_those_of_the_loops_own_books(guidance):
+    run = tl.simulate_teleoperation("TMIG", seed=2, duration=30.0, guidance=guidance)
+    answer = tl.passivity(run)
+    for port, column in (("operator", "energy_port"), ("robot", "energy_robot")):
+        np.testing.assert_allclose(answer.energies[port], run[column], atol=1e-9)
+    assert answer.passive
+    assert answer.bounded
+    assert (answer.least_energy >= -1e-9).all()
+    assert answer.message.startswith("Passive: neither port")
+    final = answer.table().set_index("port")["final_energy"]
+    assert final.tolist() == answer.energies.iloc[-1].tolist()
+    drawn = answer.plot().lines[0].get_ydata()
+    np.testing.assert_array_equal(drawn, answer.energies["operator"])
+
+
+def test_without_its_guard_the_printed_guidance_is_not_passive():
+    printed = tl.teleoperation.Guidance("through_channel", "off")
+    run = tl.simulate_teleoperation("M", seed=1, duration=30.0, guidance=printed)
+    answer = tl.passivity(run)
+    assert not answer.passive
+    assert answer.least_energy["robot"] < -1.0
+    assert "the robot's port had given out" in answer.message
+
+
+@pytest.mark.parametrize("force", [6.0, -6.0, 0.0])
+def test_energy_of_a_damper_and_of_a_motor(force):
+    """A damper of 2 N s/m at 3 m/s takes 18 W; a motor that pushes with as much gives it out."""
+    answer = tl.passivity(session(np.tile([3.0, force, 0.0, 0.0], (300, 1))))
+    energies = 3.0 * force * 0.01 * np.arange(1, 301)
+    np.testing.assert_allclose(answer.energies["operator"], energies)
+    assert answer.least_energy["operator"] == pytest.approx(min(energies.min(), 0.0))
+    assert answer.passive == (force >= 0.0)
+    assert answer.bounded
+
+
+def test_what_grows_is_not_bounded():
+    growing = np.exp(0.05 * np.arange(300))
+    answer = tl.passivity(session(np.column_stack([growing, growing, growing, growing])))
+    assert not answer.bounded
+    assert answer.growth == pytest.approx(np.exp(5.0))
+    assert "grew 148-fold in the last third" in answer.message
+    steady = np.sin(0.3 * np.arange(300))
+    assert tl.passivity(session(np.column_stack([steady] * 4))).bounded
+
+
+# --- a leader's push ------------------------------------------------------------------------------
+
+
+@given(st.integers(0, 100_000))
+@settings(max_examples=300)
+def test_power_of_the_hand(seed):
+    """Oracle: r (σ p − d r) with r = a + y σ p, axis by axis."""
+    rng = np.random.default_rng(seed)
+    a, p = 10 ** rng.uniform(-2, 1, 2)[:, None] * rng.normal(size=(2, 3))
+    drag = 10 ** rng.uniform(-2, 1)
+    y = rng.uniform(0.01, 0.99, 3) / drag
+    power = 10 ** rng.uniform(-3, 1) * rng.choice([-1, 1, 1, 1])
+    pull = float((p * a * (1 - 2 * drag * y)).sum())
+    stir = float((y * p**2 * (1 - drag * y)).sum())
+    share = push_share(1.0, power, pull, stir, float((a**2).sum()), drag)
+
+    def given_out(sigma):
+        r = a + y * sigma * p
+        return float((r * (sigma * p - drag * r)).sum())
+
+    assert 0.0 <= share <= 1.0
+    if power <= 0.0:
+        assert share == 0.0
+    else:
+        slack = 1e-9 * (abs(power) + drag * float((a**2).sum()) + stir + abs(pull))
+        assert given_out(share) <= power + slack
+        if share < 1.0:
+            assert given_out(share) >= power - slack  # no less than may be
+            assert given_out(min(1.01 * share + 1e-3, 1.0)) > power - slack
+    assert push_share(0.0, power, pull, stir, 1.0, drag) == 0.0

@@ -1,10 +1,6 @@
-"""
-The conditions C1–C5 and rules of one's own, on the ground robot and the UAV that follows.
+"""Conditions of the ground robot and of UAV following, and their participants."""
 
-Oracles: the models, rules and measures of the other rooms, run on the log after the fact; a rule
-applied to what was logged gives the modes that were driven.
-"""
-
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,10 +10,19 @@ import trustlab as tl
 from trustlab.allocation.rules import performance_suggestion
 from trustlab.models.simulation import Simulation
 from trustlab.models.tsc import threshold_mode
-from trustlab.testbeds import published_operator, published_thresholds
+from trustlab.testbeds import (
+    OperatorPopulation,
+    published_model,
+    published_operator,
+    published_thresholds,
+    run_condition,
+)
 from trustlab.testbeds.deciding import CONDITIONS, SETTLING
 from trustlab.testbeds.ground_robot.conditions import drive_modes
 from trustlab.testbeds.uav_following import DURATION, E_MAX, U_MAX
+
+# --- conditions -----------------------------------------------------------------------------------
+
 
 FLIGHT = {"measure": "uav_tracking", "e_max": E_MAX, "u_max": U_MAX, "axes": "xy"}
 BEDS = {
@@ -174,3 +179,94 @@ class Hungry:
 def test_rules_that_fail_say_when(rule, more, words):
     with pytest.raises(ValueError, match=words):
         tl.run_condition(rule=rule, participant=2, **more)
+
+
+# --- participants ---------------------------------------------------------------------------------
+
+
+PEOPLE = ("1", "2", "3", "4", "5")
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_operators_are_what_the_tables_print(operators, name):
+    who = published_operator(name)
+    own, shares, pair = (
+        tl.published_table(number)[name].astype(float) for number in ("2.3", "2.6", "2.2")
+    )
+    assert who.participant == name
+    assert who.human == operators[name].human == published_model(name).human
+    assert [who.lower, who.lower_spread, who.upper, who.upper_spread] == own.tolist()
+    followed = 100.0 * who.follow_tsc, 100.0 * who.follow_performance
+    assert followed == pytest.approx((shares["C2"], shares["C4"]))
+    assert published_thresholds(name) == (pair["TSC_l"], pair["TSC_u"])
+
+
+@pytest.mark.parametrize("name", ["pilot", *PEOPLE])
+def test_performance_under_manual_control_is_the_models(operators, name):
+    """
+    Oracle: (2.6) and the steady state of (2.3); a hand that drove equally well for all missed P_r
+    by up to 0.03.
+    """
+    model, who = operators[name], published_operator(name)
+    runs = [
+        drive_modes(np.ones(4000, int), who, seed, r0=0.8 * model.human.beta) for seed in range(4)
+    ]
+    p_h = np.mean([model.human.performance(run["r"][2000:]).mean() for run in runs])
+    assert np.mean([run["p_h"][2000:].mean() for run in runs]) == pytest.approx(p_h, abs=0.007)
+    p_r = np.mean([run["p_r"][2000:].mean() for run in runs])
+    assert p_r == pytest.approx(model.robot.steady_state(1.0, p_h), abs=0.009)
+
+
+@pytest.mark.parametrize("name", ["1", "2", "4", "5"])
+def test_captured_thresholds_lie_one_reaction_beyond_the_operators_own(name):
+    """
+    Oracle: own thresholds, and how far TSC runs on in the reaction; before the window was full it
+    was far too high.
+    """
+    who = published_operator(name)
+    runs = [run_condition("C1", name, seed=seed, r0=0.5).session for seed in range(6)]
+    found = tl.estimate_thresholds(runs)
+    assert found.distinguishable
+    assert -0.14 < found.lower - who.lower < 0.0
+    assert -0.05 < found.upper - who.upper < 0.1
+
+
+# --- UAV following --------------------------------------------------------------------------------
+
+
+FOLLOWERS = [
+    OperatorPopulation.person(row)
+    for row in OperatorPopulation.uav_following().draw(12, seed=1).to_dict("records")
+]
+
+
+def flown(operator, model, mode, seed):
+    """A flight in one mode after the first 100 s by hand: own thresholds that no TSC meets."""
+    lower = 8.0 if mode else -9.0
+    fixed = {"lower": lower, "upper": lower + 1.0, "lower_spread": 0.0, "upper_spread": 0.0}
+    who = replace(operator, reaction_lag=0.0, **fixed)
+    session = tl.run_condition("C1", who, model, testbed="uav_following", seed=seed).session
+    assert (session["mode"][1001:] == mode).all()
+    return session
+
+
+def test_hands_are_as_good_as_their_model_says():
+    short, late = [], slice(1000, None)
+    for who, model, _ in FOLLOWERS:
+        for seed in range(2):
+            session = flown(replace(who, r0=who.human.beta), model, 1.0, seed)
+            skill = who.human.performance(session["r"])[late].mean()
+            missed = sum(np.abs(session[f"u_i_{a}"] - session[f"u_h_{a}"]) for a in "xy")[late]
+            assert 1.0 - missed.mean() / U_MAX == pytest.approx(skill, abs=0.012)
+            near = 1.0 - session["path_error"][late].mean() / E_MAX
+            short.append(near - (who.robot_floor + who.robot_gain * skill))
+    assert abs(np.mean(short)) < 0.06
+
+
+def test_left_alone_the_autopilot_drifts_away():
+    who, model, _ = FOLLOWERS[0]
+    errors = [flown(who, model, 0.0, seed)["path_error"] for seed in range(40)]
+    near = 1.0 - np.mean(errors, axis=0) / E_MAX
+    course = [near[k : k + 300].mean() for k in (950, 1300, 1700)]
+    assert course == sorted(course, reverse=True)
+    assert near[2600:].mean() == pytest.approx(who.robot_floor, abs=0.08)

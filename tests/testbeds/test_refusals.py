@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from tests.teams import simulate_team
+from tests.loops import simulate_team
 from trustlab.teleoperation import STUDIES, PassivityError, packet_delay
 from trustlab.testbeds import published_operator
 

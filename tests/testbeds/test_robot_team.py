@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from tests.teams import simulate_team, team_loop
+from tests.loops import simulate_team, team_loop
 from trustlab.teleoperation import (
     DivergenceError,
     GivenSequence,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.flights import assert_device_balances, columns, phase, power
+from tests.loops import assert_device_balances, columns, phase, power
 from trustlab.allocation.blending import OptimalBlending
 from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
 from trustlab.models.uav import TransferFunction

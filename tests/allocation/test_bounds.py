@@ -1,0 +1,445 @@
+"""
+Bounds: Theorem 1 with its lemmas, Theorem 2 as printed and on arrays, against what is simulated.
+
+Oracles: numbers of Tables 2.1 and 2.2; exact fractions and scalar loops written out here.
+"""
+
+import math
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, settings, strategies as st
+from scipy.optimize import minimize_scalar
+
+import trustlab as tl
+from tests.allocation.cases import phases, shape
+from trustlab.allocation import (
+    simulate_allocation,
+    steady_state_bounds,
+    step_bounds,
+    threshold_limits,
+)
+from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
+from trustlab.allocation.limits import limits_as_printed
+from trustlab.models.tsc import TscConstants, performance_weights
+from trustlab.reproduction import published_table
+from trustlab.reproduction.printed import half_unit
+
+# --- bounds as printed ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def printed():
+    """Table 2.1 and 2.2 as numbers, with the models that have the printed, rounded b_pr."""
+    one, two = published_table("2.1").astype(float), published_table("2.2").astype(float)
+    models = {}
+    for name in one.columns:
+        p = one[name]
+        robot = tl.RobotModel(p["a_pr"], p["P_r_min"], p["P_r_max"], p["P_h_max"], b=p["b_pr"])
+        human = tl.HumanModel(p["a_r"], p["beta"], p["P_h_min"], p["P_h_max"])
+        models[name] = tl.TscModel(robot, human)
+    return one, two, models
+
+
+@pytest.mark.parametrize("name", ["2", "4"])
+def test_limits_are_the_printed_ones(printed, name):
+    one, _, models = printed
+    limits = threshold_limits(models[name], one.loc["delta_P_h", name])
+    assert limits.lower == pytest.approx(one.loc["TSC_lb", name], abs=0.0006)
+    assert limits.upper == pytest.approx(one.loc["TSC_ub", name], abs=0.0006)
+
+
+@pytest.mark.parametrize("name", ["2", "4", "5"])
+def test_bounds_are_those_of_table_2_2(printed, name):
+    """
+    One unit of the last digit, but for participant 4's r_l: 0.5886 against 0.587, within the
+    rounding of the inputs.
+    """
+    one, two, models = printed
+    rows, p = ["P_rl", "P_ru", "r_l", "r_u"], two[name]
+    bounds = steady_state_bounds(models[name], p["TSC_l"], p["TSC_u"], one.loc["delta_TSC", name])
+    found = np.array([bounds.p_r_low, bounds.p_r_high, bounds.r_low, bounds.r_high])
+    units = [2.0 * half_unit(text) for text in published_table("2.2").loc[rows, name]]
+    off = np.abs(found - p[rows]) / units
+    if name == "4":
+        assert off.pop("r_l") == pytest.approx(1.574, abs=0.001)
+    assert off.max() < 0.7
+
+
+def test_participant_3_does_not_follow_from_its_own_thresholds(printed):
+    one, two, models = printed
+    row = two["3"]
+    bounds = steady_state_bounds(
+        models["3"], row["TSC_l"], row["TSC_u"], delta_tsc=one.loc["delta_TSC", "3"]
+    )
+    assert bounds.p_r_low < row["P_rl"] - 0.005
+    assert bounds.r_high < row["r_u"] - 0.05
+
+
+def test_signs_of_a3_and_infinite_dwell_times(operators):
+    human = tl.HumanModel(0.99, 0.7, 0.3, 0.4)
+    wide, narrow = tl.RobotModel(0.9, 0.05, 0.5, 0.4), tl.RobotModel(0.9, 0.4, 0.41, 0.4)
+    middle = tl.RobotModel(0.9, 0.08, 0.46, 0.4)
+    for robot, best in ((wide, human.p_min), (middle, human.p_min), (narrow, human.p_max)):
+        model = tl.TscModel(robot, human)
+        slope = model.a_T * robot.b / (1 - robot.a) - model.b_T
+        assert (slope > 1.0, slope > 0.0) == (robot is wide, robot is not narrow)
+        expected = slope * best + model.a_T * robot.p_min
+        assert threshold_limits(model, 0.0).upper == pytest.approx(expected, abs=1e-12)
+    first = steady_state_bounds(operators["1"], 0.15, 0.62, delta_tsc=0.0022)
+    assert first.dwell_manual_high == math.inf
+    assert first.r_high == 1.0
+    low = steady_state_bounds(operators["1"], -0.694, 0.3, delta_tsc=0.0022)
+    assert low.p_r_low == operators["1"].robot.p_min
+    assert low.dwell_autonomous_high == math.inf
+    assert low.r_low == 0.0
+    assert utilization_as_printed(0.999, math.inf, math.inf, 0.0) == (1.0, 1.0)
+
+
+def test_remark_4_says_what_to_change():
+    model = tl.TscModel(tl.RobotModel(0.999, 0.3, 0.4, 0.5), tl.HumanModel(0.9, 0.7, 0.3, 0.5))
+    with pytest.raises(ValueError, match=f"TSC_ub = {threshold_limits(model).upper:.4f}"):
+        steady_state_bounds(model, 0.0, 0.99)
+    narrow = tl.TscModel(tl.RobotModel(0.999, 0.3, 0.31, 0.5), tl.HumanModel(0.9, 0.7, 0.1, 0.5))
+    assert not threshold_limits(narrow).feasible
+    with pytest.raises(ValueError, match=r"no thresholds fit \(Remark 4\); widen the range"):
+        steady_state_bounds(narrow, 0.0, 0.1)
+
+
+def settled(model, lower, upper, r0):
+    """A run's second half, and its largest one-step changes δ_Ph and δ_Pr."""
+    tail = simulate_allocation(model, lower, upper, 60_000, r0).iloc[30_000:]
+    change = tail.diff().abs().max()
+    return tail, change["p_h"], change["p_r"]
+
+
+def test_theorem_2_fails_above_often_and_below_sometimes(random_model):
+    """
+    Theorem 2 claims both never happen: for the upper bound the text takes the longest autonomous
+    dwell time where the shortest is needed, for the lower one the dwell time of a swing from P_rl
+    to P_ru, and actual swings are narrower.
+    """
+    seen = below = above = 0
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        model, lower, upper = random_model(rng, quick=False)
+        tail, delta_p_h, delta_p_r = settled(model, lower, upper, rng.random())
+        if not threshold_limits(model, delta_p_h).contains(lower, upper):
+            continue
+        seen += 1
+        bounds = steady_state_bounds(
+            model, lower, upper, delta_tsc=model.delta(delta_p_r, delta_p_h)
+        )
+        below += tail["r"].min() < bounds.r_low - 1e-12
+        above += tail["r"].max() > bounds.r_high + 1e-12
+    assert seen > 150
+    assert 0.15 < above / seen < 0.5
+    assert 0 < below / seen < 0.1
+
+
+def test_the_step_of_tsc_is_that_of_the_steady_cycle(operators):
+    model = operators["2"]
+    cycle = tl.limit_cycle(model, 0.0, 0.35)
+    expected = step_bounds(model, cycle.r_low, cycle.r_high).delta_tsc
+    assert steady_state_bounds(model, 0.0, 0.35).delta_tsc == pytest.approx(expected, rel=1e-9)
+    assert steady_state_bounds(model, 0.0, 0.35, delta_tsc=2.0).delta_tsc == 2.0
+
+
+def test_phases_of_no_length_have_no_utilization():
+    assert np.isnan(utilization_as_printed(0.999, 0.0, 0.0, 0.0)).all()
+    low, high = utilization_as_printed(np.array([0.99, 0.999]), 5.0, 9.0, 20.0)
+    for k, a in enumerate((0.99, 0.999)):
+        r = 0.5
+        for manual, expected in ((5, low[k]), (9, high[k])):
+            for _ in range(20_000):
+                peak = 1.0 - a**manual * (1.0 - r)
+                r = peak * a**20
+            assert expected == pytest.approx(r if manual == 5 else peak, rel=1e-12)
+
+
+def test_the_plot_shows_what_dwell_times_are_derived_from(operators):
+    bounds = steady_state_bounds(operators["2"], 0.0, 0.35, delta_tsc=0.005)
+    alone, _, utilization = bounds.plot()
+    curve = alone.lines[0]
+    # (2.16): after τ_da samples, rounded down, P_r has fallen from P_ru to P_rl but for the part of
+    # a sample.
+    rest = 0.1 * bounds.dwell_autonomous_high
+    at = np.interp([rest, rest + 0.1], *curve.get_data())
+    assert at[0] >= bounds.p_r_low >= at[1]
+    # (2.33): the bounds are the least and the greatest utilization of the two periodic motions.
+    lines = {line.get_label(): line.get_ydata() for line in utilization.lines}
+    ends = lines["to $r_l$"].min(), lines["to $r_u$"].max()
+    assert ends == pytest.approx((bounds.r_low, bounds.r_high), abs=1e-9)
+    plt.close("all")
+
+
+def test_greatest_steps_are_those_of_every_state():
+    """
+    Oracle: (2.1), (2.3) and (2.5) written out on a grid of states; an operator better than the
+    robot's model supposes drives P_r above its upper end.
+    """
+    r = np.linspace(0.05, 0.95, 200_001)
+    for beta, p_h_max in ((0.3, 0.5), (0.74, 0.4602), (0.6, 0.7)):
+        model = tl.TscModel(
+            tl.RobotModel(0.99, 0.24, 0.39, 0.5), tl.HumanModel(0.995, beta, 0.35, p_h_max)
+        )
+        p_h = 0.35 + (p_h_max - 0.35) * shape(r, beta)
+        change = max(
+            np.abs(0.35 + (p_h_max - 0.35) * shape(0.995 * r + 0.005 * mode, beta) - p_h).max()
+            for mode in (0, 1)
+        )
+        highest = max(0.39, 0.24 + model.robot.b * p_h_max / 0.01)
+        steps = step_bounds(model)
+        assert steps.delta_p_h == pytest.approx(change, rel=1e-4)
+        assert steps.delta_p_r == pytest.approx(0.01 * (highest - 0.24), rel=1e-12)
+        assert steps.delta_p_h >= change * (1 - 1e-12)
+
+
+@pytest.mark.parametrize("beta", [0.1, 0.12, 0.15, 0.17])
+def test_the_greatest_step_within_a_range_is_found_to_rounding(beta):
+    """Oracle: SciPy's bounded search; above β, and below r = ½, the step is greatest in between."""
+    model = tl.TscModel(tl.RobotModel(0.99, 0.2, 0.4, 0.5), tl.HumanModel(0.995, beta, 0.3, 0.5))
+
+    def step(r):
+        return 0.2 * (shape(0.995 * r + 0.005, beta) - shape(r, beta))
+
+    best = minimize_scalar(step, bounds=(beta, 0.5), method="bounded", options={"xatol": 1e-10})
+    assert beta + 0.1 < best.x < 0.49
+    assert step_bounds(model, beta, 0.5).delta_p_h == pytest.approx(-best.fun, rel=1e-12)
+
+
+def test_thresholds_at_their_limits_are_outside(operators):
+    limits = threshold_limits(operators["pilot"], 0.0)
+    assert limits.contains(np.nextafter(limits.lower, 1.0), np.nextafter(limits.upper, -1.0))
+    assert not limits.contains(limits.lower, 0.0)
+    assert not limits.contains(0.0, limits.upper)
+    assert not limits.contains(0.1, 0.1)
+
+
+# --- bounds on arrays -----------------------------------------------------------------------------
+
+
+def gains(v):
+    scale = v["P_r_max"] * v["P_h_max"] - v["P_r_min"] * v["P_h_min"]
+    return (v["P_h_max"] + v["P_h_min"]) / scale, (v["P_r_max"] + v["P_r_min"]) / scale
+
+
+def limits(v):
+    """TSC_lb and TSC_ub, (2.9)-(2.10)."""
+    a_t, b_t = gains(v)
+    slack = b_t * v["delta_P_h"] / (1.0 - v["a_pr"])
+    slope = a_t * v["b_pr"] / (1.0 - v["a_pr"]) - b_t
+    lower = a_t * v["P_r_min"] + slack - b_t * v["P_h_min"]
+    upper = a_t * v["P_r_min"] - slack + np.minimum(slope * v["P_h_max"], slope * v["P_h_min"])
+    return lower, upper
+
+
+def dwell(start, end, a):
+    """⌊ln(end/start)/ln a⌋, infinite where the end is never reached."""
+    with np.errstate(all="ignore"):
+        steps = np.floor(np.log(np.where(end > 0.0, end, 1.0) / start) / np.log(a))
+    return np.where(end > 0.0, steps, np.inf)
+
+
+def bounds(v, c):
+    """P_rl, P_ru (2.15), r_l and r_u (2.33) at a given c of (2.20)."""
+    a_t, b_t = gains(v)
+    low = np.maximum((v["TSC_l"] - v["delta_TSC"] + b_t * v["P_h_min"]) / a_t, v["P_r_min"])
+    high = np.minimum((v["TSC_u"] + v["delta_TSC"] + b_t * v["P_h_max"]) / a_t, v["P_r_max"])
+    rest = dwell(high - v["P_r_min"], low - v["P_r_min"], v["a_pr"])
+    quick, slow = (
+        dwell(v["P_r_min"] + rise - low, v["P_r_min"] + rise - high, v["a_pr"])
+        for rise in (c, c * v["P_h_min"] / v["P_h_max"])
+    )
+    a = v["a_r"]
+    with np.errstate(all="ignore"):
+        r_low = (1.0 - a**quick) * a**rest / (1.0 - a ** (quick + rest))
+        r_high = (1.0 - a**slow) / (1.0 - a ** (slow + rest))
+    return low, high, r_low, r_high
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    """Random parameters about those of Table 2.1, with slopes of (2.10) of both signs."""
+    rng = np.random.default_rng(4)
+    ranges = {
+        "P_r_min": (0.2, 0.25),
+        "P_r_max": (0.3, 0.45),
+        "P_h_min": (0.3, 0.38),
+        "P_h_max": (0.39, 0.47),
+        "a_pr": (0.99, 0.999),
+        "a_r": (0.99, 0.9995),
+        "b_pr": (2e-4, 3e-3),
+        "delta_P_h": (0.0, 2e-4),
+        "delta_TSC": (0.0, 0.01),
+        "TSC_l": (-0.2, 0.05),
+        "TSC_u": (0.1, 0.3),
+    }
+    return {name: rng.uniform(*ends, 5000) for name, ends in ranges.items()}
+
+
+def constants(v):
+    a_T, b_T = performance_weights(v["P_r_min"], v["P_r_max"], v["P_h_min"], v["P_h_max"])
+    return TscConstants(
+        a_r=v["a_r"],
+        beta=np.nan,
+        p_h_min=v["P_h_min"],
+        p_h_max=v["P_h_max"],
+        a_pr=v["a_pr"],
+        b_pr=v["b_pr"],
+        p_r_min=v["P_r_min"],
+        p_r_max=v["P_r_max"],
+        a_T=a_T,
+        b_T=b_T,
+    )
+
+
+def test_limits_are_the_equations(parameters):
+    found = limits_as_printed(constants(parameters), parameters["delta_P_h"])
+    np.testing.assert_allclose(found, limits(parameters), rtol=1e-9, atol=1e-12)
+    a_t, b_t = gains(parameters)
+    slope = a_t * parameters["b_pr"] / (1.0 - parameters["a_pr"]) - b_t
+    assert (slope > 0.0).any()
+    assert (slope < 0.0).any()
+
+
+@pytest.mark.parametrize("with_gain", [False, True])
+def test_bounds_are_the_equations(parameters, with_gain):
+    v = parameters
+    rise = v["b_pr"] * v["P_h_max"] / (1.0 - v["a_pr"]) if with_gain else None
+    p = performance_as_printed(constants(v), v["TSC_l"], v["TSC_u"], v["delta_TSC"], rise)
+    r = utilization_as_printed(
+        v["a_r"], p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous_high
+    )
+    expected = bounds(v, rise if with_gain else v["P_r_max"] - v["P_r_min"])
+    for ours, theirs in zip((p.p_r_low, p.p_r_high, *r), expected, strict=True):
+        close = np.isclose(ours, theirs, rtol=1e-9, atol=1e-12, equal_nan=True)
+        # A dwell time is rounded down, so that the last bit of its logarithm may decide; never for
+        # more than a handful.
+        assert close.mean() > 0.998
+    assert (p.p_r_low < p.p_r_high).mean() > 0.9
+
+
+def test_an_endless_dwell_time_stays_endless(parameters):
+    """
+    P_ru clipped to P_r,max is never reached, whatever P_r,min + (P_r,max − P_r,min) rounds to.
+    """
+    v = parameters
+    p = performance_as_printed(constants(v), v["TSC_l"], np.full(5000, 0.99), v["delta_TSC"])
+    assert (p.p_r_high == v["P_r_max"]).all()
+    assert np.isinf(p.dwell_manual_low).all()
+
+
+# --- Theorem 1 and lemmas -------------------------------------------------------------------------
+
+
+EXAMPLES = settings(
+    max_examples=120,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[
+        HealthCheck.filter_too_much,
+        HealthCheck.too_slow,
+        HealthCheck.function_scoped_fixture,
+    ],
+)
+
+
+def motion_within(sets, data):
+    """
+    A model, thresholds within its limits, and a run under them with transients gone and its largest
+    steps.
+    """
+    model, lower, upper = data.draw(sets)
+    tail = simulate_allocation(model, lower, upper, 60_000, data.draw(st.floats(0.0, 1.0))).iloc[
+        30_000:
+    ]
+    change = tail.diff().abs().max()
+    limits = threshold_limits(model, change["p_h"])
+    assume(limits.contains(lower, upper))
+    delta = model.delta(change["p_r"], change["p_h"])
+    return model, limits, tail, steady_state_bounds(model, lower, upper, delta_tsc=delta)
+
+
+@EXAMPLES
+@given(data=st.data())
+def test_theorem_1_the_rule_keeps_switching(sets, data):
+    _, _, tail, _ = motion_within(sets, data)
+    for part in np.array_split(tail["mode"].to_numpy(), 2):
+        assert set(part) == {0.0, 1.0}
+
+
+@settings(EXAMPLES, max_examples=40)
+@given(data=st.data(), beyond=st.floats(0.001, 2.0), who=st.sampled_from([0.0, 1.0]))
+def test_control_thresholds_that_tsc_never_meets_end_the_switching(sets, data, beyond, who):
+    """
+    TSC lies in [-1, 1]: without the condition of Theorem 1 there is nothing that keeps the rule
+    switching.
+    """
+    model, lower, upper = data.draw(sets)
+    lower, upper = (-1.0 - beyond, upper) if who == 0.0 else (lower, 1.0 + beyond)
+    assert (
+        simulate_allocation(model, lower, upper, 60_000, 0.5).iloc[30_000:]["mode"] == who
+    ).all()
+
+
+@EXAMPLES
+@given(data=st.data())
+def test_lemmas_1_and_2_tsc_falls_alone_and_rises_under_manual_control(sets, data):
+    _, limits, tail, _ = motion_within(sets, data)
+    now, change = tail.iloc[:-1], tail["tsc"].diff().shift(-1).iloc[:-1]
+    assert (change[(now["mode"] == 0) & (now["tsc"] > limits.lower)] < 0).all()
+    assert (change[(now["mode"] == 1) & (now["tsc"] < limits.upper)] > 0).all()
+
+
+@EXAMPLES
+@given(data=st.data())
+def test_bounds_2_14_and_2_15_hold(sets, data):
+    _, _, tail, bounds = motion_within(sets, data)
+    assert tail["tsc"].between(bounds.tsc_low - 1e-12, bounds.tsc_high + 1e-12).all()
+    assert tail["p_r"].between(bounds.p_r_low - 1e-12, bounds.p_r_high + 1e-12).all()
+
+
+@EXAMPLES
+@given(data=st.data())
+def test_lemmas_3_and_4_longest_dwell_times(sets, data):
+    """
+    No phase is longer than ⌊·⌋ of (2.16) and (2.21), the floor included and without a sample to
+    spare.
+
+    A phase of n samples takes P_r from its first sample, within (2.15), over n steps to the first
+    sample of the next phase, which is within (2.15) as well: δ_TSC makes room for the step that
+    crosses. So n does not exceed the real number that is floored.
+    """
+    _, _, tail, bounds = motion_within(sets, data)
+    who, lengths = phases(tail["mode"])
+    assert lengths[who == 0].max() <= bounds.dwell_autonomous_high
+    assert lengths[who == 1].max() <= bounds.dwell_manual_high
+
+
+def test_control_dwell_times_of_a_narrower_band_are_too_short(random_model):
+    """
+    The lengths that Lemmas 3 and 4 bound do come near: bounds for a band of half the width are
+    exceeded.
+    """
+    longer = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        model, lower, upper = random_model(rng)
+        tail = simulate_allocation(model, lower, upper, 20_000, rng.random()).iloc[10_000:]
+        who, lengths = phases(tail["mode"])
+        quarter = 0.25 * (upper - lower)
+        bounds = steady_state_bounds(model, lower + quarter, upper - quarter, delta_tsc=0.0)
+        longer += lengths[who == 0].max(initial=0) > bounds.dwell_autonomous_high
+        longer += lengths[who == 1].max(initial=0) > bounds.dwell_manual_high
+    assert longer > 5
+
+
+@settings(EXAMPLES, max_examples=400)
+@given(data=st.data(), delta=st.floats(0.0, 0.05))
+def test_proposition_1_order_of_the_dwell_times(sets, data, delta):
+    model, lower, upper = data.draw(sets)
+    bounds = steady_state_bounds(model, lower, upper, delta_tsc=delta)
+    assert bounds.dwell_manual_low <= bounds.dwell_manual_high
+    assert 0.0 <= bounds.r_low <= bounds.r_high <= 1.0

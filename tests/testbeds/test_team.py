@@ -1,0 +1,274 @@
+"""
+Teams whose graphs change, whose trust is another model, and as a testbed of virtual studies.
+
+Oracles: `simulate_team` with the same arguments; energy balances; a deaf leader stops a team.
+"""
+
+import networkx as nx
+import numpy as np
+import pytest
+from PIL import Image
+
+import trustlab as tl
+from tests.loops import simulate_team
+from trustlab.teleoperation import (
+    GivenSequence,
+    TeamOperator,
+    TeamRobot,
+    TeamSettings,
+    TeamTrial,
+)
+from trustlab.testbeds import RobotTeam
+
+# --- graphs that change ---------------------------------------------------------------------------
+
+
+def changing_team(seed):
+    """
+    A weighted graph of six robots that twice loses or gains links, loses a robot and gains a new
+    one.
+    """
+    rng = np.random.default_rng([15, seed])
+
+    def some(names):
+        graph = nx.relabel_nodes(
+            nx.random_labeled_tree(len(names), seed=int(rng.integers(1 << 30))),
+            dict(enumerate(names)),
+        )
+        for _ in range(3):
+            graph.add_edge(*(names[i] for i in rng.choice(len(names), 2, replace=False)))
+        for one, other in graph.edges:
+            graph[one][other]["weight"] = rng.uniform(0.3, 3.0)
+        return graph
+
+    graphs = {0.0: some(list("abcdef"))}
+    graphs |= {rng.uniform(5, 30): some(list("abcdef")), 40.0: some(list("abdfg"))}
+    return graphs, {
+        "policy": ("random", "most_trusted", "hysteresis")[seed % 3],
+        "goal": rng.uniform(-5.0, 5.0, 3),
+        "seed": seed,
+        "sample_time": 0.02,
+        "settings": TeamSettings(
+            coupling=rng.uniform(0.5, 3.0),
+            lead_gain=rng.uniform(0.5, 3.0),
+            force_gain=rng.uniform(0.3, 2.0),
+        ),
+        "filters": ("none", "corrected", "waves")[seed % 3],
+    }
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_energy_balances_through_changes(seed):
+    """
+    Lemmas 6 and 7 hold between changes, V_e through them; what V_fs jumps by is booked, and V_T
+    without it never rises.
+    """
+    graph, arguments = changing_team(seed)
+    data = simulate_team(graph, **arguments, duration=60.0, record_every=0.02).data
+    team = data["v_fs"] - data["supply_team"] + data["lost_team"] - data["supply_links"]
+    error = data["v_e"] - data["supply_error"] + data["lost_error"]
+    assert np.ptp(team) <= 1e-11 * max(data["v_fs"].max(), data["lost_team"].max())
+    assert np.ptp(error) <= 1e-11 * max(data["v_e"].max(), data["lost_error"].max())
+    assert np.diff(data["v_t"] - data["supply_links"]).max() <= 1e-11 * data["v_t"].max()
+    assert data["supply_links"].any()  # else the bookkeeping would not be tried
+    # negative control: links that appear
+    assert np.diff(data["v_t"]).max() > 1e-6 or data["supply_links"].max() <= 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_robots_that_come_and_go_arrive(seed, tmp_path):
+    graph, arguments = changing_team(seed)
+    run = simulate_team(graph, **arguments, duration=600.0, record_every=0.1)
+    assert run.robots == tuple("abcdefg")
+    assert run.converged, run.farthest[-1]
+    here = np.isfinite(run.positions[:, :, 0])
+    late = run.t >= 40.0
+    np.testing.assert_array_equal(here[~late], np.tile([1, 1, 1, 1, 1, 1, 0], (np.sum(~late), 1)))
+    np.testing.assert_array_equal(here[late], np.tile([1, 1, 0, 1, 0, 1, 1], (np.sum(late), 1)))
+    leaders = run.data["number"].to_numpy().astype(int)
+    assert here[np.arange(len(leaders)), leaders].all()
+    assert len(run.graphs) == 3
+    with Image.open(run.animate(tmp_path / "team.gif", rate=50.0)) as film:
+        assert film.n_frames > 20
+
+
+class TestDirected:
+    CHAIN = nx.DiGraph([(1, 0), (2, 1), (3, 2), (3, 0)])  # robot 0 sees nobody and is seen by all
+
+    def test_a_spanning_tree_is_enough(self):
+        run = simulate_team(
+            self.CHAIN, GivenSequence([0], times=[0.0]), duration=300.0, sample_time=0.01, seed=1
+        )
+        assert run.converged
+        assert run.data[["v_fs", "v_t"]].isna().all(axis=None)
+        error = (
+            run.data["v_e"] - run.data["supply_error"] + run.data["lost_error"]
+        )  # an identity on any graph
+        assert np.ptp(error) <= 1e-11 * run.data["v_e"].max()
+
+
+class TestLargeTeams:
+    @pytest.mark.parametrize(
+        "graph", [nx.cycle_graph(50), nx.complete_graph(20), nx.star_graph(30)]
+    )
+    def test_scaled_gains_keep_the_guarantees(self, graph):
+        run = simulate_team(
+            graph,
+            "random",
+            settings=TeamSettings.scaled(graph),
+            duration=200.0,
+            sample_time=0.01,
+            record_every=0.01,
+            seed=5,
+        )
+        assert run.converged
+        assert run.operator_passive
+        assert np.diff(run.data["v_t"]).max() <= 1e-11 * run.data["v_t"].max()
+
+
+# --- trust ----------------------------------------------------------------------------------------
+
+
+CHAIN = nx.path_graph(4)
+DEAF = TeamRobot(loss=1.0)
+
+
+def faulty(robot, place=0, size=4, **change):
+    """Settings of a team in which one robot has a fault."""
+    robots = tuple(robot if i == place else TeamRobot() for i in range(size))
+    return TeamSettings(robots=robots, **change)
+
+
+def test_drift_is_a_source():
+    """Negative control: with a robot that drifts V_T rises."""
+    settings = faulty(TeamRobot(drift=0.1))
+    run = simulate_team(CHAIN, settings=settings, duration=60.0, sample_time=0.01)
+    assert np.diff(run.data["v_t"]).max() > 1e-6
+
+
+@pytest.mark.parametrize("seeds", [3, pytest.param(100, marks=pytest.mark.long)])
+def test_the_most_trusted_robot_is_sooner_at_the_goal(seeds):
+    """One deaf robot of four. Negative control: with trust that comes from nothing it is not."""
+    cases = [(policy, "motion") for policy in ("most_trusted", "sequence", "random")]
+    cases.append(("most_trusted", "random"))
+    times = np.empty((seeds, 4))
+    for seed in range(seeds):
+        deaf = int(np.random.default_rng([11, seed]).integers(4))
+        arguments = {"seed": seed, "settings": faulty(DEAF, deaf), "duration": 200.0}
+        arguments |= {"sample_time": 0.02, "record_every": 0.1}
+        for column, (policy, performance) in enumerate(cases):
+            run = simulate_team(nx.cycle_graph(4), policy, performance=performance, **arguments)
+            times[seed, column] = run.time_to_goal if run.converged else 200.0
+    sooner = times[:, 1:] - times[:, :1]
+    assert (sooner.mean(axis=0) > 5.0).all()
+    if seeds > 3:
+        error = sooner.std(axis=0, ddof=1) / np.sqrt(seeds)
+        assert (sooner.mean(axis=0) > 3.0 * error).all()
+
+
+class TestLoop:
+    @property
+    def options(self):
+        return {"seed": 3, "trial": TeamTrial(0.01), "settings": faulty(DEAF)}
+
+    @pytest.mark.parametrize("policy", ["most_trusted", "random"])
+    def test_stepped_as_run(self, policy):
+        """Bit for bit, also in part stepped and in part run."""
+        graph = {0.0: nx.cycle_graph(4), 4.0: CHAIN}
+        whole = tl.simulate_team(graph, policy, duration=12.0, **self.options)
+        loop = tl.TeamLoop(graph, policy, duration=12.0, **self.options)
+        while loop.t < 7.0 - 1e-9:
+            loop.step()
+        assert loop.run(until=9.0).data.equals(whole.data[:9.0].iloc[:900])
+        run = loop.run()
+        assert run.data.equals(whole.data)
+        np.testing.assert_array_equal(run.positions, whole.positions)
+        np.testing.assert_array_equal(run.trust, whole.trust)
+        assert run.facts == whole.facts
+        with pytest.raises(ValueError, match="longer duration"):
+            loop.step()
+
+    def test_a_wish_waits_for_the_dwell_time(self):
+        loop = tl.TeamLoop(CHAIN, duration=20.0, performance="random", trial=TeamTrial(0.01))
+        first = loop.step(leader=2)
+        assert loop.leader == 2
+        assert first.number == 2.0
+        loop.step(leader=1)
+        run = loop.run()
+        np.testing.assert_allclose(run.switches, [5.0])
+        assert loop.leader == 1
+        assert run.facts["waits"] == 49  # decisions at 0.1 … 4.9 s
+        with pytest.raises(ValueError, match=r"leader must be one of \[0, 1, 2, 3\], got 9"):
+            tl.TeamLoop(CHAIN).step(leader=9)
+
+    def test_a_hand_leads_the_device(self):
+        """The device is near where a still hand is, but for the force that it feels."""
+        loop = tl.TeamLoop(
+            CHAIN, duration=3.0, trial=TeamTrial(0.01), operator=TeamOperator(guarded=False)
+        )
+        for _ in range(300):
+            state = loop.step(hand=(0.02, 0.0, 0.0))
+        assert 0.005 < state.device[0] < 0.02
+        np.testing.assert_allclose(state.device[1:], 0.0, atol=3e-3)
+
+
+# --- a testbed ------------------------------------------------------------------------------------
+
+
+class Nearest:
+    """The robot nearest to the goal leads."""
+
+    title = "nearest"
+
+    def leader(self, now):
+        away = ((now.positions - [1.0, 2.0, 0.5]) ** 2).sum(axis=1)
+        return int(away.argmin())
+
+
+def test_a_policy_by_places_never_picks_who_has_left():
+    """Robot 0 is the nearest until it leaves; argmin took its NaN for the least."""
+    start = np.array([[1.0, 2.0, 0.5], [5.0, 2.0, 0.5], [9.0, 2.0, 0.5]])
+    graph = {0.0: nx.complete_graph(3), 4.0: nx.complete_graph([1, 2])}
+    run = tl.simulate_team(graph, Nearest(), duration=8.0, trial=TeamTrial(start=start))
+    leaders = run.data["number"].to_numpy()
+    assert leaders[0] == 0
+    assert set(leaders[run.t >= 4.2]) <= {1, 2}
+
+
+def test_an_assumption_is_checked_before_any_run():
+    with pytest.raises(ValueError, match="push"):
+        RobotTeam().people(3, {"push": -3.0})
+
+
+def test_a_session_is_a_run_of_the_team():
+    bed = RobotTeam(robots=(TeamRobot(),) * 4, duration=20.0)
+    person = bed.people(3, seed=2).to_dict("records")[2]
+    session = bed.run("sequence", person, 7)
+    ring = nx.cycle_graph(4)
+    run = tl.simulate_team(
+        ring,
+        "sequence",
+        seed=np.random.SeedSequence(7).spawn(2)[1],
+        duration=20.0,
+        operator=TeamOperator(push=person["push"], reach=person["reach"], drag=person["drag"]),
+        settings=TeamSettings.scaled(ring, 40.0),
+        trial=TeamTrial(0.01, record_every=0.1, tolerance=0.1),
+    )
+    np.testing.assert_array_equal(session.positions, run.positions)
+    measures = session.measures
+    assert measures["switches"] == len(run.switches)
+    assert measures["work"] == run.data["supply_hand"].iloc[-1]
+    assert session.session.metadata.synthetic
+    assert bed.next_session(person, session) is person
+
+
+def test_a_study_tells_policies_apart():
+    """Where one robot is deaf, who trusts robots by what they do lets it lead no more."""
+    deaf = RobotTeam(robots=(TeamRobot(loss=1.0), *(TeamRobot(),) * 3), duration=60.0)
+    policies = ["most_trusted", "sequence", Nearest()]
+    study = tl.virtual_study(n=12, testbed=deaf, conditions=policies, seed=0)
+    assert study.conditions == ("most_trusted", "sequence", "nearest")
+    pairs = study.analysis("time").pairs().set_index(["a", "b"])
+    first = pairs.loc[("most_trusted", "sequence")]
+    assert first["p_holm"] < 0.05, pairs
+    assert first["mean_difference"] < 0.0
