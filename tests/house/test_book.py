@@ -12,8 +12,16 @@ import pytest
 
 import trustlab as tl
 from tests.house.documents import ROOT
-from tests.publishing.walk import chromium, faults, pages, serious, sizes, walked
-from tests.publishing.world import publish, write_book
+from tests.publishing.world import (
+    chromium,
+    faults,
+    pages,
+    publish,
+    serious,
+    sizes,
+    walked,
+    write_book,
+)
 from trustlab.publishing.chapter import empty_chapter
 
 # --- notebooks ------------------------------------------------------------------------------------

@@ -17,8 +17,7 @@ import pytest
 from nbformat.v4 import new_code_cell
 
 import trustlab as tl
-from tests.publishing.walk import chromium
-from tests.publishing.world import ROOT, make, publish, write_book
+from tests.publishing.world import ROOT, chromium, make, publish, write_book
 from trustlab.models.display import as_html
 from trustlab.publishing.tables import table_html
 from trustlab.teleoperation import TeamTrial

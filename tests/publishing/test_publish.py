@@ -14,8 +14,18 @@ import psutil
 import pytest
 from nbformat.v4 import new_code_cell
 
-from tests.publishing.walk import chromium, faults, pages, serious, walked
-from tests.publishing.world import ROOT, make, publish, tagged, write_book
+from tests.publishing.world import (
+    ROOT,
+    chromium,
+    faults,
+    make,
+    pages,
+    publish,
+    serious,
+    tagged,
+    walked,
+    write_book,
+)
 from trustlab.publishing.run import CellError, execute
 
 GOOD = [

@@ -1,12 +1,22 @@
-"""A small book of its own: what `make reports` reads, in a folder."""
+"""
+A project that is published as trustlab is, and a walk through its book as a reader's browser sees
+it.
+"""
 
+import functools
 import shutil
 import subprocess
 import sys
+from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote, urldefrag
 
 import nbformat
+import pytest
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook
+
+# --- a project ------------------------------------------------------------------------------------
+
 
 ROOT = Path(__file__).parents[2]
 SETTINGS = """
@@ -76,3 +86,139 @@ def write_book(root):
     """Let Sphinx write the book; return what it did."""
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "docs", "reports"]
     return subprocess.run(command, cwd=root, capture_output=True, text=True)
+
+
+# --- a walk ---------------------------------------------------------------------------------------
+
+
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+ELSEWHERE = ("http:", "https:", "mailto:", "data:", "javascript:")
+WIDTHS = (1280, 1440, 390)
+PAPER = 718  # width of A4 within margins of 1 cm [px]
+CUT = """[...document.querySelectorAll("pre, .formula, .dt-container")]
+    .filter((box) => box.scrollWidth > box.clientWidth)
+    .map((box) => box.textContent.slice(0, 80))"""
+CUT_IN_PRINT = """[...document.querySelectorAll("main :is(img, figure, .equation)")]
+    .filter((box) => box.getBoundingClientRect().right > document.documentElement.clientWidth + 1)
+    .map((box) => box.outerHTML.slice(0, 80))"""
+
+
+class Page(HTMLParser):
+    """Links, anchors, pictures and scripts of a page."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.links = set()
+        self.anchors = {""}
+        self.loaded = set()
+        self.wordless = []
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        self.anchors |= {given[name] for name in ("id", "name") if given.get(name)}
+        if tag == "a" and given.get("href"):
+            self.links.add(given["href"])
+        self.loaded |= {given[name] for name in ("src", "href") if given.get(name) and tag != "a"}
+        if tag == "img" and not given.get("alt", "").strip():
+            self.wordless.append(given.get("src"))
+
+
+@functools.cache
+def page(path):
+    return Page(path)
+
+
+def pages(folder):
+    """The pages of a folder; the theme leaves a template among its scripts."""
+    return [path for path in sorted(folder.rglob("*.html")) if "_static" not in path.parts]
+
+
+def faults(folder):
+    """What is wrong with the links and pictures of the pages of a folder."""
+    found = []
+    for path in pages(folder):
+        own = page(path)
+        found += [f"{path.name}: no words for {picture}" for picture in own.wordless]
+        found += [
+            f"{path.name}: loads {link}"
+            for link in own.loaded
+            if link.startswith(("http:", "https:", "//"))
+        ]
+        for link in own.links | own.loaded:
+            place, anchor = urldefrag(link)
+            if link.startswith(ELSEWHERE) or (link in own.loaded and link.startswith("http")):
+                continue
+            target = (path.parent / unquote(place.partition("?")[0])).resolve() if place else path
+            if not target.is_file():
+                found.append(f"{path.name}: nothing at {link}")
+            elif target.suffix == ".html" and unquote(anchor) not in page(target).anchors:
+                found.append(f"{path.name}: no anchor at {link}")
+    return found
+
+
+def sizes(folder):
+    """The size of every page with what it loads [B], figures and the common files left out."""
+    for path in pages(folder):
+        yield path.name, path.stat().st_size
+
+
+def serious(tab, path):
+    """What axe-core finds serious."""
+    axe = pytest.importorskip(
+        "axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed"
+    )
+    tab.goto(path.as_uri(), wait_until="load")
+    return [
+        (path.name, rule["id"], [node["target"] for node in rule["nodes"]][:3])
+        for rule in axe.Axe().run(tab).response["violations"]
+        if rule["impact"] in ("serious", "critical")
+    ]
+
+
+def walked(browser, paths, widths=WIDTHS):
+    """Walk pages at these widths and on paper; return what is wrong."""
+    found = []
+    for width in widths:
+        tab = browser.new_page(viewport={"width": width, "height": 900})
+        tab.on("console", lambda said: found.append(said.text) if said.type == "error" else None)
+        tab.on("pageerror", lambda error: found.append(str(error)))
+        tab.on(
+            "request",
+            lambda asked: (
+                None
+                if asked.url.startswith(("file:", "data:", "blob:"))
+                else found.append(asked.url)
+            ),
+        )
+        for path in paths:
+            tab.goto(path.as_uri())
+            wide = tab.evaluate("document.documentElement.scrollWidth")
+            if wide > width:
+                found.append(f"{path.name} is {wide} wide at {width}")
+            if width >= 1280:
+                cut = tab.evaluate(CUT)
+                found.extend(f"{path.name}: {words} is cut at {width}" for words in cut)
+        tab.close()
+    tab = browser.new_page(viewport={"width": PAPER, "height": 1000})
+    tab.emulate_media(media="print")
+    for path in paths:
+        tab.goto(path.as_uri())
+        found += [f"{path.name}: cut in print: {words}" for words in tab.evaluate(CUT_IN_PRINT)]
+    tab.close()
+    return found
+
+
+def chromium():
+    """Yield a browser, or skip the test where there is none."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if BROWSER is None:
+        pytest.skip("needs Chromium: apt-get install chromium")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=BROWSER, args=["--no-sandbox", "--disable-gpu"]
+        )
+        yield browser
+        browser.close()
