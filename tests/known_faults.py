@@ -37,8 +37,6 @@ ALLOWED = {
     "read_sessions": {"on_error": "no file is faulty"},
     "repeated_measures": {"missing": "nothing is missing"},
     "run_correction": {"": "measures its own time"},
-    "score": {"missing": "nothing is missing"},
-    "ScaleScores.reliability": {"confidence": "one subject has no alpha"},
     "simulate_allocation": {"mode": "none of 50 samples is near a threshold"},
     "smallest_n": {"most": "fewer suffice"},
     "FitResult.residuals": {"output": "the example has one output"},

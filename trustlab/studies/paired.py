@@ -9,8 +9,8 @@ from scipy import special
 
 from trustlab.models.checks import one_of, open_unit, positive
 from trustlab.studies.pairs import differences, holm, normality_of_differences, rank_pairs
-from trustlab.studies.repeated_measures import describe, repeated_measures
-from trustlab.studies.table import ScoreTable, Tested, labelled
+from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
+from trustlab.studies.table import Tested, labelled
 from trustlab.studies.words import apa_pair
 
 
@@ -34,22 +34,18 @@ class PairedTTest(Tested):
     ----------
     tests : pandas.DataFrame
         What `table` returns.
-    excluded : tuple
-        Subjects left out because a score is missing.
-    scores : ScoreTable
-        What was compared.
+    analysis : RepeatedMeasures
+        The analysis of both conditions: its scores, and whom it left out.
     """
 
     title = "Paired t-test"
 
     tests: pd.DataFrame
-    excluded: tuple
-    scores: ScoreTable
+    analysis: RepeatedMeasures
 
     def descriptives(self) -> pd.DataFrame:
         """Return descriptive statistics as `RepeatedMeasures.descriptives`."""
-        labels = pd.Index(self.scores.conditions, tupleize_cols=False)
-        return describe(self.scores.values).assign(condition=labels)
+        return self.analysis.descriptives()
 
     def apa(self) -> str:
         """Return the sentence a paper needs."""
@@ -131,7 +127,7 @@ def paired_t_test(
         confidence=confidence,
         correlation=np.nan if constant else np.corrcoef(a, b)[0, 1],
     )
-    return PairedTTest(labelled(test[COLUMNS], scores.origin), result.excluded, scores)
+    return PairedTTest(labelled(test[COLUMNS], scores.origin), result)
 
 
 def equivalence(

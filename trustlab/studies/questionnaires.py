@@ -12,7 +12,6 @@ from trustlab.models.checks import (
     flag,
     in_order,
     of_class,
-    open_unit,
     positive,
     whole_number,
 )
@@ -231,29 +230,24 @@ class ScaleScores(Result):
         """Return the scores."""
         return self.scores
 
-    def reliability(self, confidence: float = 0.95) -> pd.DataFrame:
+    def reliability(self) -> pd.DataFrame:
         """
         Return Cronbach's alpha of every score of two items or more.
 
         There is an alpha per condition, as answers of a subject under several conditions are not
         independent.
 
-        Parameters
-        ----------
-        confidence : float
-            Level of the intervals, in (0, 1).
-
         Returns
         -------
         pandas.DataFrame
-            Columns score, condition (NaN where there is none), n, items, alpha, ci_low, ci_high.
-            Alpha is NaN for fewer than three subjects, or where all have the same score.
+            Columns score, condition (NaN where there is none), n, items, alpha, ci_low, ci_high
+            (95 %). Alpha is NaN for fewer than three subjects, or where all have the same score.
         """
-        confidence, rows = open_unit("confidence", confidence), []
+        rows = []
         for name, coded in self.coded.items():
             condition = coded.index.to_frame().get("condition", pd.Series(np.nan, coded.index))
             for label, group in coded.groupby(condition, sort=False, dropna=False):
-                alpha = _alpha(group, confidence)
+                alpha = _alpha(group)
                 rows.append({"score": name, "condition": label} | alpha)
         return pd.DataFrame(rows).query("items > 1").reset_index(drop=True)
 
@@ -447,14 +441,12 @@ class Reliability(Tested):
     Internal consistency of a scale.
 
     Columns of `table` are attributes too: n and items, how many subjects and items; alpha,
-    Cronbach's alpha, with its interval ci_low, ci_high (Feldt's F interval).
+    Cronbach's alpha, with its interval ci_low, ci_high (95 %, Feldt's F interval).
 
     Parameters
     ----------
     tests : pandas.DataFrame
         What `table` returns, a row.
-    confidence : float
-        The interval's level.
     without : pandas.Series
         Alpha of the scale less each item; NaN where one item is left or all subjects agree.
     """
@@ -462,18 +454,15 @@ class Reliability(Tested):
     title = "Cronbach's alpha"
 
     tests: pd.DataFrame
-    confidence: float
     without: pd.Series
 
     @property
     def message(self) -> str:
         """Alpha and its interval."""
-        return (
-            f"α = {self.alpha:.2f}, {self.confidence:.0%} CI {self.ci_low:.2f}, {self.ci_high:.2f}"
-        )
+        return f"α = {self.alpha:.2f}, 95% CI {self.ci_low:.2f}, {self.ci_high:.2f}"
 
 
-def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability:
+def cronbach_alpha(items: pd.DataFrame) -> Reliability:
     """
     Return Cronbach's alpha of items scored in the same direction, α = k/(k − 1) · (1 − Σ s_i²/s²).
 
@@ -481,8 +470,6 @@ def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability
     ----------
     items : pandas.DataFrame
         A row per subject, a column per item, reversed items already recoded; no missing values.
-    confidence : float
-        Level of the interval, in (0, 1).
 
     Returns
     -------
@@ -508,21 +495,18 @@ def cronbach_alpha(items: pd.DataFrame, confidence: float = 0.95) -> Reliability
     0.946
     """
     of_class("items", items, pd.DataFrame, "give a column per item")
-    confidence = open_unit("confidence", confidence)
-    for name, column in items.items():
-        if column.dtype.kind not in "iuf" or not np.isfinite(column).all():
-            raise ValueError(f"item {name!r} must hold only finite numbers ({column.dtype})")
-    row = _alpha(items, confidence)
+    items = pd.DataFrame({name: numbers_of(column, "items") for name, column in items.items()})
+    row = _alpha(items)
     if np.isnan(row["alpha"]):
         raise ValueError(
-            "items: alpha needs at least two items of three subjects, with sums that differ, "
+            "items: alpha needs two items or more of three subjects, no gaps, sums that differ; "
             f"got a table of shape {items.shape}"
         )
-    rest = {name: _alpha(items.drop(columns=name), confidence)["alpha"] for name in items}
-    return Reliability(pd.DataFrame([row]), confidence, pd.Series(rest, name="alpha_without"))
+    rest = {name: _alpha(items.drop(columns=name))["alpha"] for name in items}
+    return Reliability(pd.DataFrame([row]), pd.Series(rest, name="alpha_without"))
 
 
-def _alpha(items: pd.DataFrame, confidence: float) -> dict[str, float]:
+def _alpha(items: pd.DataFrame) -> dict[str, float]:
     """Return how many subjects and items, alpha and its interval; NaN where it is not defined."""
     n, k = items.shape
     values = items.to_numpy(dtype=float)
@@ -530,7 +514,6 @@ def _alpha(items: pd.DataFrame, confidence: float) -> dict[str, float]:
     alpha, ends = np.nan, np.full(2, np.nan)
     if k > 1 and n > 2 and np.ptp(total) > 1e-12 * np.abs(total).max():
         alpha = (1.0 - values.var(axis=0, ddof=1).sum() / total.var(ddof=1)) * k / (k - 1)
-        tail = 0.5 * (1.0 - confidence)
-        ends = special.fdtri(n - 1, (n - 1) * (k - 1), [1.0 - tail, tail])
+        ends = special.fdtri(n - 1, (n - 1) * (k - 1), [0.975, 0.025])
     low, high = 1.0 - (1.0 - alpha) * ends
     return {"n": n, "items": k, "alpha": alpha, "ci_low": low, "ci_high": high}

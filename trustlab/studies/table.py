@@ -127,6 +127,8 @@ def levels_of(series: pd.Series, argument: str, order: Any = None) -> tuple:
     try:
         return tuple(sorted(labels))
     except TypeError:
+        if argument == "subject":  # such as simulated and recorded people in one table
+            return labels
         raise ValueError(
             f"{argument}: column {series.name!r} mixes types of labels, without a common order; "
             "make them one type, or give order=[…]"

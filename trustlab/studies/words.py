@@ -254,15 +254,15 @@ def _left_out(result: Any) -> str:
 
 def apa_pair(result: Any) -> str:
     """Return a paired t-test as a sentence."""
-    stats = result.descriptives()
+    analysis, stats = result.analysis, result.descriptives()
     a, b = condition_means(stats)
     digits = decimals_of(stats["sd"], 3)
     verb = "differed significantly" if result.p < 0.05 else "did not differ significantly"
     difference = interval(result.ci_low, result.ci_high, digits, level=100 * result.confidence)
     d_z = interval(result.d_z_low, result.d_z_high, level=100 * result.confidence)
     return (
-        f"{mark(result.scores.origin)}{result.scores.dv} {verb} between {a} and {b}, "
+        f"{mark(analysis.origin)}{analysis.dv} {verb} between {a} and {b}, "
         f"t({result.df}) = {apa_number(result.t)}, {apa_p(result.p)}, mean difference "
         f"{apa_number(result.mean_difference, digits)}, {difference}, d_z = "
-        f"{apa_number(result.d_z)}, {d_z}.{_left_out(result)}"
+        f"{apa_number(result.d_z)}, {d_z}.{_left_out(analysis)}"
     )
