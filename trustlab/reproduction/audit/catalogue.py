@@ -11,7 +11,7 @@ from functools import cache
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean, shown
-from trustlab.reproduction.printed import half_unit
+from trustlab.reproduction.printed import half_unit, printed_interval
 from trustlab.reproduction.published import (
     printed_pilot,
     published_facts,
@@ -84,8 +84,7 @@ class PrintedNumber:
     def compatible(self) -> tuple[float, float]:
         """Least and greatest value that rounds to the number, or obeys the bound."""
         if self.is_bound:
-            below = self.printed.startswith("<")
-            return (-math.inf, self.value) if below else (self.value, math.inf)
+            return printed_interval(self.printed)
         reach = self.half * (1.0 + 1e-9)  # a value on the edge may miss it by its own rounding
         return self.value - reach, self.value + reach
 
