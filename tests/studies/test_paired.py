@@ -134,3 +134,8 @@ def test_bayes_factor_by_bic_is_the_closed_form():
     assert found["method"] == "bic"
     assert found["bf10"] == pytest.approx(np.exp(-delta / 2))
     assert len(tl.bayes_factor(long(x), **COLUMNS, method="jzs")) == 6
+
+
+def test_shapiro_is_not_defined_beyond_five_thousand_subjects():
+    a, b = np.random.default_rng(0).normal(size=(2, 5001))
+    assert np.isnan(run(a, b).shapiro_p)

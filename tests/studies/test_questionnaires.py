@@ -215,3 +215,10 @@ def test_alpha_agrees_with_r(name):
 def test_items_without_an_alpha_are_refused(items, words):
     with pytest.raises(ValueError, match=words):
         cronbach_alpha(pd.DataFrame(items))
+
+
+def test_two_items_of_one_name_are_refused():
+    """Both were left out together."""
+    items = pd.DataFrame([[1, 2, 1], [2, 2, 3], [4, 5, 4]], columns=["q1", "q2", "q1"])
+    with pytest.raises(ValueError, match="two columns called 'q1'"):
+        cronbach_alpha(items)

@@ -154,3 +154,11 @@ def test_fits_by_participant_are_one_table(fit, pilot, tmp_path):
     page = study.write(tmp_path / "fits.html").read_text()
     assert "<th>human β</th>" in page
     assert "human_" not in page
+
+
+def test_what_no_document_can_show_is_refused(tmp_path):
+    frame = frame_of().replace({"scheme": {"M": "M\x07"}})
+    for ending in ("html", "tex"):
+        with pytest.raises(ValueError, match="holds a control character"):
+            two_way(frame).write(tmp_path / f"r.{ending}")
+    assert not list(tmp_path.iterdir())

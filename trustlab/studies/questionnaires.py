@@ -495,6 +495,9 @@ def cronbach_alpha(items: pd.DataFrame) -> Reliability:
     0.946
     """
     of_class("items", items, pd.DataFrame, "give a column per item")
+    if items.columns.has_duplicates:
+        twice = items.columns[items.columns.duplicated()][0]
+        raise ValueError(f"items has two columns called {twice!r}; rename or remove one")
     items = pd.DataFrame({name: numbers_of(column, "items") for name, column in items.items()})
     row = _alpha(items)
     if np.isnan(row["alpha"]):

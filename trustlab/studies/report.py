@@ -79,12 +79,18 @@ class StudyReport(Result):
         Raises
         ------
         ValueError
-            If the ending is another one.
+            If the ending is another one, or a word holds a control character.
         """
         path = Path(path)
         kind = one_of(f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex"))
         mark = f" [{self.origin}]" if self.origin else ""
         tables = {title + mark: _printed(table) for title, table in self.tables.items()}
+        words = "\n".join([self.message, *tables, *(table.to_csv() for table in tables.values())])
+        if control := re.search(r".*[\x00-\x08\x0b-\x1f\x7f-\x9f]", words):
+            raise ValueError(
+                f"{control.group()[-60:]!r} holds a control character, which no document can show; "
+                "rename the level or column in the data"
+            )
         text = _html(self, tables) if kind == ".html" else _latex(self.message, tables)
         path.write_text(text, encoding="utf-8")
         return path

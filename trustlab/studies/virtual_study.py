@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -358,7 +359,13 @@ def _fitting(
         kinds: Mapping[str, Any] = TESTBEDS
         known = {title: [*kind.conditions, *rules] for title, kind in kinds.items()}
         fitting = [title for title in known if all(name in known[title] for name in names)]
-        testbed = fitting[0] if fitting else "ground_robot"
+        if not fitting:
+            for name in names:
+                one_of("a condition", name, dict.fromkeys(chain(*known.values())))
+            raise ValueError(
+                f"conditions {', '.join(names)} are of several testbeds; make a study of each"
+            )
+        testbed = fitting[0]
     bed = named_testbed(testbed, laps)
     if rules:
         if not getattr(bed, "takes_rules", False):

@@ -18,7 +18,13 @@ from scipy import optimize, stats
 import trustlab as tl
 from tests import textbook
 from trustlab.reproduction import compare_adjustments, reconstruct_study
-from trustlab.reproduction.reconstruction.constraints import BOTH, NEITHER, ONLY_DF, ONLY_P
+from trustlab.reproduction.reconstruction.constraints import (
+    BOTH,
+    NEITHER,
+    ONLY_DF,
+    ONLY_P,
+    readings,
+)
 from trustlab.reproduction.reconstruction.contradictions import contradictions
 
 STUDIES = tl.published_studies()
@@ -236,6 +242,12 @@ def test_a_number_that_cannot_be_is_left_out_with_its_reason(fields, changes, na
     assert list(answer.left_out) == [name]
     assert re.search(reason, answer.left_out[name]), answer.left_out[name]
     assert answer.left_out[name] in answer.message
+
+
+def test_too_many_degrees_of_freedom_were_not_corrected():
+    """No ε makes them larger, so that with them p alone can be corrected."""
+    many = tl.PublishedStudy("many", **{**THREE, "anova": {"F": "5.2", "df1": "4", "df2": "112"}})
+    assert [reading.df for reading in readings(many)] == [many.corrected, False]
 
 
 def test_degrees_of_freedom_say_where_they_belong():

@@ -64,7 +64,13 @@ def readings(study: PublishedStudy) -> Iterator[Reading]:
     yield usual
     if study.k == 2:  # ε is 1
         return
-    yield from (reading for reading in (ONLY_P, ONLY_DF, BOTH, NEITHER) if reading != usual)
+    # No ε makes degrees of freedom larger: where too many are printed, none was applied to them.
+    plain = {"df1": study.k - 1, "df2": (study.k - 1) * (study.n - 1)}
+    printed = [name for name in plain if name in study.anova]
+    too_many = any(printed_interval(study.anova[name])[0] > plain[name] for name in printed)
+    for reading in (ONLY_P, ONLY_DF, BOTH, NEITHER):
+        if reading != usual and not (too_many and reading.df):
+            yield reading
     if not study.epsilon:
         return
     epsilon = printed_decimal(study.epsilon)
