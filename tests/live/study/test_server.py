@@ -5,7 +5,9 @@ the files on the disk.
 
 import io
 import json
+import os
 import re
+import resource
 import socket
 import stat
 import threading
@@ -195,6 +197,18 @@ def test_connections_are_capped_and_slow_heads_time_out(make_plan, client, monke
         assert client(server.links()["P01"] + "/state").status == 200
         for each in held[:50]:
             each.close()
+
+
+def test_many_participants_may_have_more_files_than_a_process_usually_has(make_plan, client):
+    plan = make_plan(participants=60)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    used = len(os.listdir("/proc/self/fd"))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (used + 20, hard))
+    try:
+        with StudyServer(plan) as server:
+            assert client(server.links()["P60"] + "/state").status == 200
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 # what is kept
