@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import secrets
 import time
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from trustlab.live.log import Log, LogError
-from trustlab.live.study.drives import Attempt, identified, planned_minutes, stand_in
+from trustlab.live.study.drives import Attempt, identified, stand_in
 from trustlab.live.study.pages import AnswerError, Item, Step
 from trustlab.live.study.plan import (
     EVENTS,
@@ -93,11 +92,6 @@ class Participant:
         place = {"condition": step.condition, "position": step.position}
         self.add("page", page=step.index, name=step.page.name, **facts, **place)
 
-    @cached_property
-    def minutes(self) -> int:
-        """How long the participation takes [min]."""
-        return planned_minutes(self.plan)
-
     @property
     def progress(self) -> Progress:
         """Where the participant is: nothing but the events decides."""
@@ -132,7 +126,6 @@ class Participant:
             "rehearsal": self.plan.rehearsal,
             "language": content["language"],
             "words": content["words"],
-            "minutes": self.minutes,
             **shown,
             "completion": progress.completion if step.page.kind == "end" else "",
             "items": [
