@@ -142,8 +142,8 @@ class LiveTask:
     config : callable
         All that determines a run but the commands, as plain JSON, from what a study's plan holds,
         the condition, what is known of the participant, and a seed. Every task has live_task,
-        condition, seed, sample_time [s], samples, duration (how long a run takes [s]), columns,
-        commands, limits (of each command), late (the camera's delay [s]) and clock.
+        condition, seed, sample_time [s], samples, columns, commands, limits (of each command), late
+        (the camera's delay [s]) and clock.
     begin : callable
         A run by its config: `step(*command)` does a period and returns the row of the log,
         `picture()` is what the page draws, as plain JSON, `done` whether it is at its end.

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -98,15 +98,17 @@ class Record:
         if self.other_maker:
             return f"made by {self.other_maker}, not verified here"
         try:
-            rows = stepped(task.begin(self.settings), self.commands)
+            rows = list(stepped(task.begin(self.settings), self.commands))
         except Exception as error:  # of a user's own part, or settings that nobody wrote
             return f"a replay fails: {type(error).__name__}: {error}"
         return difference(task, self.settings, self.rows, rows)
 
 
-def stepped(run: Any, commands: list) -> list:
-    """Return the rows that commands lead to, up to the end of the run."""
-    return [run.step(*command) for command in commands if not run.done]
+def stepped(run: Any, commands: list) -> Iterator[list]:
+    """Step a run by commands, up to its end, and yield each row as it is done."""
+    for command in commands:
+        if not run.done:
+            yield run.step(*command)
 
 
 def difference(task: LiveTask, settings: dict, rows: list, again: list) -> str:
@@ -197,7 +199,7 @@ class Trial:
                     f"{path}: begun by {self.record.other_maker}; a drive in progress is continued "
                     "by the version that began it alone: begin another one"
                 )
-            self.rows += stepped(self.run, self.record.commands)
+            self.rows.extend(stepped(self.run, self.record.commands))
             fault = difference(task, self.settings, self.record.rows, self.rows)
             if fault:
                 raise LogError(f"{path}: {fault}, so that the drive cannot go on")
@@ -267,7 +269,7 @@ class Trial:
             self.task.check(self.settings, command)
         if commands:
             self._keep(commands=commands, seen=min(float(seen), float(have)))
-            self.rows += stepped(self.run, commands)
+            self.rows.extend(stepped(self.run, commands))
         if self.run.done or len(self.rows) >= most:
             self.finish("complete")
 

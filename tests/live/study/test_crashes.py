@@ -128,7 +128,7 @@ def check(plan, client, driving_page, count, seed, command=steered):
     assert record.commands == made
     assert acknowledged == len(made)
     task = plan.task
-    rows = stepped(task.begin(record.settings), made)
+    rows = list(stepped(task.begin(record.settings), made))
     assert record.rows == rows[: len(record.rows)]
     assert len(record.rows) > 0
     assert record.fault(task) == ""

@@ -5,7 +5,9 @@ the files on the disk.
 
 import io
 import json
+import os
 import re
+import resource
 import socket
 import stat
 import threading
@@ -197,6 +199,18 @@ def test_connections_are_capped_and_slow_heads_time_out(make_plan, client, monke
             each.close()
 
 
+def test_many_participants_may_have_more_files_than_a_process_usually_has(make_plan, client):
+    plan = make_plan(participants=60)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    used = len(os.listdir("/proc/self/fd"))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (used + 20, hard))
+    try:
+        with StudyServer(plan) as server:
+            assert client(server.links()["P60"] + "/state").status == 200
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
 # what is kept
 # --------------------------------------------------------------------------------------------------
 
@@ -312,7 +326,7 @@ def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(
 ):
     act = served.server.experimenter + "/act"
     page.drive(0, 5)
-    for number, status in ((0, 400), (2, 400), (1, 200)):  # no drive, not begun, begun
+    for number, status in ((0, 400), (2, 400), ([1], 400), (1, 200)):  # no drive, not begun, begun
         restart = {"participant": "P01", "action": "restart", "page": number}
         assert client(act, restart).status == status
     assert page.drive(5, 5) == {"done": True}

@@ -103,10 +103,6 @@ function showForm(now) {
     ...now.items.map(field),
   );
   const button = element("button", { textContent: words.next });
-  if (now.page === 0) {
-    const text = filled(words.duration, now);
-    form.querySelector("h2").after(element("p", { id: "duration", textContent: text }));
-  }
   form.append(button);
   main.replaceChildren(form);
   return new Promise((next) => {

@@ -26,10 +26,6 @@ FROM_PART = "own drive in part"
 FROM_STAND_IN = "stand-in"
 """Where a participant's model and thresholds come from."""
 
-FORM_MINUTES = 0.5
-ITEM_MINUTES = 0.1
-"""Time that people need for a page and for an item on it [min]."""
-
 
 class Attempt(NamedTuple):
     """An attempt at a drive of a study, numbered from 0."""
@@ -111,18 +107,6 @@ def drive_of(content: dict, condition: str, known: dict, seed: int) -> dict:
     if content["rehearsal"]:
         config["clock"] = "accelerated"
     return json.loads(json.dumps(config))
-
-
-def planned_minutes(plan: Plan) -> int:
-    """Return how long a participation takes, with drives at two thirds of the largest speed."""
-    minutes = 0.0
-    for step in plan.steps(next(iter(plan.orders))):
-        minutes += FORM_MINUTES + ITEM_MINUTES * len(step.page.items)
-        if step.page.kind == "drive":
-            condition = step.condition or step.page.name
-            config = drive_of(plan.content, condition, stand_in(plan, ""), seed=0)
-            minutes += config["duration"] / 60.0
-    return 5 * math.ceil(minutes / 5.0)
 
 
 def stand_in(plan: Plan, why: str) -> dict:

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import secrets
 import time
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from trustlab.live.log import Log, LogError
-from trustlab.live.study.drives import Attempt, identified, planned_minutes, stand_in
+from trustlab.live.study.drives import Attempt, identified, stand_in
 from trustlab.live.study.pages import AnswerError, Item, Step
 from trustlab.live.study.plan import (
     EVENTS,
@@ -93,11 +92,6 @@ class Participant:
         place = {"condition": step.condition, "position": step.position}
         self.add("page", page=step.index, name=step.page.name, **facts, **place)
 
-    @cached_property
-    def minutes(self) -> int:
-        """How long the participation takes [min]."""
-        return planned_minutes(self.plan)
-
     @property
     def progress(self) -> Progress:
         """Where the participant is: nothing but the events decides."""
@@ -132,7 +126,6 @@ class Participant:
             "rehearsal": self.plan.rehearsal,
             "language": content["language"],
             "words": content["words"],
-            "minutes": self.minutes,
             **shown,
             "completion": progress.completion if step.page.kind == "end" else "",
             "items": [
@@ -224,13 +217,17 @@ class Participant:
     # the experimenter's
     # ----------------------------------------------------------------------------------------------
 
+    def _begun(self) -> list[Attempt]:
+        """Return the current attempt of each drive that was begun."""
+        drives = [self.attempt(step) for step in self.steps if step.page.kind == "drive"]
+        return [attempt for attempt in drives if attempt.path.exists()]
+
     def experimenter_restart(self, body: dict) -> None:
         """Let a drive be driven again; what was driven stays where it is."""
-        drives = [step for step in self.steps if step.page.kind == "drive"]
-        attempts = [self.attempt(step) for step in drives if step.index == body.get("page")]
-        if not attempts or not attempts[0].path.exists():
+        page = body.get("page")
+        attempt = next((each for each in self._begun() if each.step.index == page), None)
+        if attempt is None:
             raise AnswerError("this page is no drive that was begun")
-        (attempt,) = attempts
         # First of all: a drive that is over and not begun again would count.
         self.add("restart", page=attempt.step.index, attempt=attempt.number)
         if self.trial is not None and self.trial.log.path == attempt.path:
@@ -251,10 +248,7 @@ class Participant:
         progress, step = self.progress, self.step
         trial = self.trial
         drives = [
-            {"page": each.index, "title": each.page.title}
-            for each in self.steps
-            if each.page.kind == "drive"
-            and (each.index in progress.done or (trial is not None and each is step))
+            {"page": each.step.index, "title": each.step.page.title} for each in self._begun()
         ]
         model = progress.model or {}
         ago = None if self.last_request is None else round(time.time() - self.last_request, 1)

@@ -525,8 +525,7 @@ class StudyServer:
             idle_connection_timeout=HEADER_TIME,
             body_timeout=30.0,
         )
-        files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        listener.most = min(MOST_CONNECTIONS, max(files - 2 * len(self.plan.orders) - 50, 10))
+        listener.most = min(MOST_CONNECTIONS, max(self.free_handles, 10))
         listener.most_of_address = listener.most if self.url else MOST_OF_ADDRESS
         listener.add_sockets(sockets)
         self.loop, self.ending = asyncio.get_running_loop(), asyncio.Event()
@@ -570,6 +569,13 @@ class StudyServer:
         training = drive_of(self.plan.content, "training", stand_in(self.plan, ""), seed=0)
         prepare(self.plan.task, training)
         self.holder("")
+        # Everybody has two logs, and the process some files of its own.
+        own = 2 * len(self.plan.orders) + 50
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        most = own + MOST_CONNECTIONS
+        soft = max(soft, most if hard == resource.RLIM_INFINITY else min(most, hard))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        self.free_handles = soft - own
         for code in self.plan.present():
             self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
             files.callback(self.participants[code].close)

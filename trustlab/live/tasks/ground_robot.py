@@ -249,7 +249,6 @@ def drive_config(
         },
         "sample_time": SAMPLE_TIME,
         "samples": samples,
-        "duration": seconds or 1.5 * laps * course.length / robot.max_speed,
         "seed": seed,
         "schedule": schedule or None,
         "task": (task if model is None else task.suggesting(model))._asdict(),
