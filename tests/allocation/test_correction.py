@@ -156,20 +156,25 @@ def test_an_incentive_that_fails_on_the_way_holds_the_thresholds():
     assert (plan.status, plan.c_l, plan.c_u) == ("held", 0.0, 0.0)
     assert "the incentive leaves" in plan.message
     assert plan.table()["upper"][0] == START[1]
-    wide = corrector(incentive=lambda r, p_r, c_b, low, high: (-c_b, 2.0 * c_b))
-    assert wide.step(0.5, 0.3, *START).status == "held"
+    assert plan.table().isna().sum()["mode"] == 9
 
-    def tired(r, p_r, c_b, low, high):
-        if r > 0.8:
-            raise RuntimeError("too tired")
-        return -c_b, c_b
 
-    with pytest.raises(RuntimeError, match="too tired"):  # where it is made, not on the way
-        corrector(incentive=tired)
-    with pytest.raises(ValueError, match="incentive must be a function"):
-        corrector(incentive=0.5)
-    with pytest.raises(TypeError, match="positional"):
-        corrector(incentive=lambda r, p_r: (0.0, 0.0))
+@pytest.mark.parametrize(
+    ("incentive", "says"),
+    [
+        (0.5, "must be a function"),
+        (lambda r, p_r: (0.0, 0.0), "raises TypeError"),
+        (lambda r, p_r, c_b, low, high: -c_b if r < 0.8 else 1 / 0, "TypeError"),
+        (lambda r, p_r, c_b, low, high: (-c_b, c_b) if r < 0.8 else 1 / 0, "raises ZeroDivision"),
+        (lambda r, p_r, c_b, low, high: (-c_b, 2.0 * c_b), r"in \[−c_b, 0\] and \[0, c_b\]"),
+        (lambda r, p_r, c_b, low, high: (c_b, -c_b), "returns 1e-05 and -1e-05"),
+        (lambda r, p_r, c_b, low, high: (np.nan, c_b), "returns nan"),
+        (lambda r, p_r, c_b, low, high: None, "raises TypeError"),
+    ],
+)
+def test_what_is_no_incentive_is_refused_before_any_loop(incentive, says):
+    with pytest.raises(ValueError, match=f"incentive .*{says}"):
+        corrector(incentive=incentive)
 
 
 @LIGHT

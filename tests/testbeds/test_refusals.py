@@ -31,7 +31,7 @@ def endless(k):
         (nx.Graph([("a", "b"), ("c", "d")]), {}, r"parts are \['a', 'b'\]; \['c', 'd'\]"),
         ({0.0: PATH, 5.0: nx.empty_graph(3)}, {}, r"from t = 5 s on: .*parts are \[0\]; \[1\]"),
         (nx.MultiGraph([(0, 1), (0, 1)]), {}, "parallel edges"),
-        (nx.DiGraph([(0, 1), (0, 2)]), {}, "nobody can lead them all"),
+        (nx.DiGraph([(0, 1), (0, 2)]), {}, "it has no spanning tree"),
         (np.array([[0.0, -1.0], [-1.0, 0.0]]), {}, "from 0 to 1 it is -1.0"),
         ({0.0: PATH, -1.0: PATH}, {}, "must be 0 and others after 0"),
         (PATH, {"delay": (0.2, 1e9)}, "longer than the run"),
@@ -51,6 +51,10 @@ def test_teams(graph, options, words):
         ({"delay": (0.0, 0.1)}, "delay to the robot.* at least one sample"),
         ({"signals": {"push": np.full((12000, 3), np.nan)}}, "push .* but sample 0 is"),
         ({"signals": {"alpha": endless(50)}}, "alpha .* but sample 50 is inf"),
+        (
+            {"delay": (packet_delay([100.0, 130.0], [100.1, 130.1]), 0.1), "duration": 5.0},
+            "the trace begins at 100 s, after the end of the run: give seconds from the start",
+        ),
         (
             {"delay": (packet_delay([0.0, 0.1], [0.1, 0.2]), 0.1), "duration": 5.0},
             "delay to the robot: .*until 0.2 s, and the run lasts until",

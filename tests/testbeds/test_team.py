@@ -235,6 +235,24 @@ def test_a_policy_by_places_never_picks_who_has_left():
     assert set(leaders[run.t >= 4.2]) <= {1, 2}
 
 
+class Keeping(Nearest):
+    """It keeps what it was told."""
+
+    def __init__(self):
+        self.told = []
+
+    def leader(self, now):
+        self.told.append(now)
+        return super().leader(now)
+
+
+def test_a_policy_may_keep_what_it_was_told():
+    policy = Keeping()
+    tl.simulate_team(nx.MultiGraph([(0, 1), (1, 2)]), policy, duration=2.0, settings=None)
+    times = [now.t for now in policy.told]
+    np.testing.assert_allclose(times, 0.1 * np.arange(len(times)), atol=1e-9)
+
+
 def test_an_assumption_is_checked_before_any_run():
     with pytest.raises(ValueError, match="push"):
         RobotTeam().people(3, {"push": -3.0})

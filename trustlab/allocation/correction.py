@@ -398,9 +398,8 @@ class ThresholdCorrector:
                 "incentive must be a function of r, p_r, c_b, p_min and p_max that returns the "
                 f"least and the greatest correction, got {shown(incentive)}"
             )
-        robot = tsc.robot
-        for r in (0.1, 0.5, 0.9):  # fails here, not in a loop
-            incentive(r, robot.p_max, self.c_b, robot.p_min, robot.p_max)
+        if incentive is not incentive_box:
+            self._try(incentive)
         options = {"extra_cost": extra_cost, "switch_width": switch_width, "limit": limit}
         given: Any = {name: value for name, value in options.items() if value is not None}
         self.program: Any = None
@@ -411,7 +410,7 @@ class ThresholdCorrector:
             self.program = CorrectionProgram(self, **given)
         elif given:
             raise ValueError(f'{", ".join(given)} would do nothing without engine="casadi"')
-        self._range = robot.p_min, robot.p_max
+        self._range = tsc.robot.p_min, tsc.robot.p_max
         self._problem = tsc.constants(), self.c_b, np.array(self.target)
         self._clipped = np.full((2, self.horizon), np.nan)
         state = np.zeros(2), 1, self._clipped, np.zeros((7, 2))
@@ -475,6 +474,24 @@ class ThresholdCorrector:
             path,
         )
 
+    def _try(self, incentive: Callable) -> None:
+        """Refuse an incentive that fails or has no bounds where it is tried, not in a loop."""
+        c_b, p_min, p_max = self.c_b, self.tsc.robot.p_min, self.tsc.robot.p_max
+        for r in (0.1, 0.5, 0.9):
+            try:
+                low, high = map(float, incentive(r, 0.5 * (p_min + p_max), c_b, p_min, p_max))
+            except Exception as error:
+                raise ValueError(
+                    "incentive must return the least and the greatest correction of r, p_r, c_b, "
+                    f"p_min and p_max, but at r = {r} raises {type(error).__name__}: {error}"
+                ) from error
+            slack = 1e-9 * c_b
+            if not (-c_b - slack <= low <= slack and -slack <= high <= c_b + slack):
+                raise ValueError(
+                    f"incentive must return numbers in [−c_b, 0] and [0, c_b], c_b = {c_b:g}, but "
+                    f"at r = {r} returns {low:g} and {high:g}"
+                )
+
     def followed(
         self, state: np.ndarray, mode: int, given: np.ndarray
     ) -> tuple[float, float, np.ndarray]:
@@ -491,9 +508,8 @@ class ThresholdCorrector:
         given : numpy.ndarray, shape (2, N)
             Corrections c_l and c_u; NaN for clipped ones.
         """
-        path = np.empty((7, self.horizon + 1))
+        path = np.full((7, self.horizon + 1), np.nan)
         path[:4, 0] = state
-        path[MODE:, -1] = np.nan
         arguments = *self._problem, state[2:], mode, given, path
         if self.incentive is incentive_box:
             called = self._follow if given is self._clipped else follow

@@ -225,7 +225,8 @@ def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) ->
     75.0
     """
     low, high = in_order("p_min", p_min, "p_max", p_max)
-    return 100.0 * (float(finite_array("p_r", np.ravel(p_r)).mean()) - low) / (high - low)
+    values = finite_array("p_r", [p_r] if np.isscalar(p_r) else p_r)
+    return 100.0 * (float(values.mean()) - low) / (high - low)
 
 
 # --- suggestions ---------------------------------------------------------------------------------

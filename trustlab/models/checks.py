@@ -47,7 +47,9 @@ def did_you_mean(name: object, known: Iterable[object]) -> str:
     meant = str(name)[:100].lower()
     close = [word for word in words if word.endswith(f"_{meant}")]
     close = close or difflib.get_close_matches(meant, list(words), n=1, cutoff=0.6)
-    return f"; did you mean {' or '.join(repr(words[word]) for word in close)}?" if close else ""
+    return (
+        f"; did you mean {' or '.join(repr(words[word]) for word in close[:2])}?" if close else ""
+    )
 
 
 def rounded_down(value: float, digits: int = 3) -> float:

@@ -184,6 +184,11 @@ def packet_delay(sent: np.ndarray, received: np.ndarray) -> Delay:
     arrivals, newest = received[order], np.maximum.accumulate(sent[order])
 
     def trace(times: np.ndarray) -> np.ndarray:
+        if sent[0] > times[-1]:
+            raise ValueError(
+                f"the trace begins at {sent[0]:g} s, after the end of the run: give seconds from "
+                "the start of the run, (sent - sent[0], received - sent[0])"
+            )
         step = times[1] - times[0]
         last = np.searchsorted(arrivals, times + SLACK, side="right") - 1
         # nothing has been sent that could be read before the first packet; none is read in the

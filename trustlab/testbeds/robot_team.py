@@ -4,6 +4,7 @@ simulated task.
 """
 
 from collections.abc import Hashable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -177,12 +178,13 @@ class TeamLoop(Loop):
         goal=(1.0, 2.0, 0.5),
         seed: int | np.random.SeedSequence = 0,
         duration: float = 300.0,
-        operator: TeamOperator = OPERATOR,
-        settings: TeamSettings = SETTINGS,
-        trial: TeamTrial = TRIAL,
+        operator: TeamOperator | None = None,
+        settings: TeamSettings | None = None,
+        trial: TeamTrial | None = None,
         performance: str = "motion",
         trust: TrustDynamics | TrustInLoop | None = None,
     ):
+        operator, settings, trial = operator or OPERATOR, settings or SETTINGS, trial or TRIAL
         self.seed = seed
         self.remedy = (
             "push less, switch the scattering with the leader, or use a filter that is passive"
@@ -220,8 +222,18 @@ class TeamLoop(Loop):
         self._levels: list[np.ndarray] = []  # of trust, at every decision
         self._named: int | None = None
         self._waits = 0  # decisions at which a wish to switch had to wait
-        parts = self.robots, self._graph.present, self._share, None, 0.0, self._dwell, rng, {}, self
-        self._now = TeamSituation(0.0, *parts)
+        self._now = TeamSituation(
+            t=0.0,
+            robots=self.robots,
+            present=self._graph.present,
+            trust=self._share,
+            leader=None,
+            since=0.0,
+            dwell=self._dwell,
+            rng=rng,
+            memory={},
+            loop=self,
+        )
 
     def _begin(self, operator: TeamOperator, per_decision: int, begins, faults) -> Simulation:
         """Return the simulation at its start."""
@@ -427,9 +439,10 @@ class TeamLoop(Loop):
 
     def _choose(self, t: float) -> int:
         """Return who leads: whom the operator named, or else the policy's pick, after τ_min."""
-        graph, now = self._graph, self._now
-        now.t, now.present = t, graph.present
-        now.trust = np.where(graph.present, self.trust, -np.inf)
+        graph = self._graph
+        trust = np.where(graph.present, self.trust, -np.inf)
+        # A new one at each decision: a policy may keep those before.
+        self._now = now = replace(self._now, t=t, present=graph.present, trust=trust)
         if self._named is not None and not graph.may_lead[self._named]:
             self._named = None
         pick = self._asked(now) if self._named is None else self._named

@@ -164,7 +164,7 @@ class ConditionTestbed(Checked, Testbed):
     setting_names: ClassVar[tuple[str, ...]] = ("duration", "rest")
 
     rest: NotNegative | None = None
-    population: OperatorPopulation | None = None
+    population: OperatorPopulation | None = field(default=None, repr=False)
     rules: Mapping[str, Callable] = field(default_factory=dict)
 
     def __post_init__(self):

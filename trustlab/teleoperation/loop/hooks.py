@@ -30,8 +30,6 @@ FOLLOWING = ("vehicle", "trust")
 VECTORS = ("robot", "velocity", "u_a", "wanted", "guiding")
 
 SLACK = 1e-12
-# Bounds of a number that has none.
-FINITE = (-1e300, 1e300)
 
 
 def asking(
@@ -92,15 +90,17 @@ class ReturnedError(ValueError):
 def checked(name: str, value: Any, bounds: Mapping[str, tuple[float, float]]) -> Any:
     """Return what a function decided: finite, three numbers for a vector, a scale within (3.1)."""
     if name in VECTORS:
-        value, remedy = np.asarray(value, float), "three finite numbers are wanted, for x, y and z"
+        value = np.asarray(value, float)
         valid = value.shape == (3,) and np.isfinite(value).all()
-    else:
-        low, high = bounds.get(name, FINITE)
-        remedy = "it must lie in [{:g}, {:g}]"
+        wanted = "three finite numbers are wanted, for x, y and z"
+    elif name in bounds:
+        low, high = bounds[name]
         valid = low * (1.0 - SLACK) <= value <= high * (1.0 + SLACK)
+        wanted = f"it must lie in [{low:g}, {high:g}], for which the channel's ends are set (3.1)"
+    else:
+        valid, wanted = np.isfinite(value), "a finite number is wanted"
     if not valid:
-        remedy = remedy.format(*bounds.get(name, FINITE))
-        raise ReturnedError(f"returned {name} = {value}; {remedy}")
+        raise ReturnedError(f"returned {name} = {value}; {wanted}")
     return value
 
 

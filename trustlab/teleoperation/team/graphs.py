@@ -65,10 +65,11 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
     if require_connected and not _linked(matrix).all(axis=0).any():
         parts = np.unique(_linked(matrix + matrix.T), axis=0)[::-1]
         groups = "; ".join(str([names[i] for i in np.flatnonzero(part)]) for part in parts)
+        cause = f"its parts are {groups}" if len(parts) > 1 else "it has no spanning tree"
         raise GraphError(
             "the graph has no robot whom all others see, directly or through others, so nobody "
-            f"can lead them all: its connected parts are {groups}; add edges, or pass "
-            "require_connected=False (in a TeamTrial to simulate_team) to see it"
+            f"can lead them all: {cause}; add edges, or pass require_connected=False (in a "
+            "TeamTrial to simulate_team) to see it"
         )
     return names, matrix
 
@@ -76,7 +77,12 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
 def _matrix(graph) -> tuple[tuple, np.ndarray]:
     """Return names and adjacency as a user gives them."""
     if hasattr(graph, "is_multigraph") and graph.is_multigraph():
-        raise GraphError("the graph has parallel edges (a multigraph); pass networkx.Graph(graph)")
+        import networkx
+
+        plain = networkx.DiGraph(graph) if graph.is_directed() else networkx.Graph(graph)
+        if plain.number_of_edges() < graph.number_of_edges():
+            raise GraphError("the graph has parallel edges; pass networkx.Graph(graph)")
+        graph = plain
     try:
         if hasattr(graph, "nodes"):
             import networkx

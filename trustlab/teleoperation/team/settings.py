@@ -67,7 +67,7 @@ class TeamTrial(Checked):
     sample_time : float
         Step of the midpoint rule [s].
     record_every : float, optional
-        Time between recorded rows [s], rounded to samples; 0.01 s when not given.
+        Time between recorded rows [s], a multiple of `sample_time`; some 0.01 s when not given.
     tolerance : float
         Distance to the goal that counts as arrived [m].
     start : array_like, shape (N, 3), optional
