@@ -111,7 +111,8 @@ def descend(
 
     def residuals(x: np.ndarray) -> np.ndarray:
         here = problem.equations(at(x))
-        rest = here.deviance - floor - here.residual @ here.residual
+        with np.errstate(invalid="ignore"):  # where a model is not defined: ∞ − ∞
+            rest = here.deviance - floor - here.residual @ here.residual
         return np.r_[here.residual, np.sqrt(max(rest, 0.0))]
 
     def jacobian(x: np.ndarray) -> np.ndarray:

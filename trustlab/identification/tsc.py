@@ -180,13 +180,18 @@ def check_excitation(runs: list[Run], limits: Mapping, prefix: str = "") -> None
 
 
 def _check_tsc(runs: list[Run], limits: Mapping) -> None:
-    """Refuse data that say nothing of the robot, and a greatest P_h that is not of these data."""
+    """Refuse data that say nothing of the robot."""
     check_order(limits, "human_")
     check_excitation(runs, limits, "robot_")
+
+
+def _check_robot(runs: list[Run], limits: Mapping) -> None:
+    """Refuse data that say nothing of the robot, and a p_h_max that is not of these data."""
+    _check_tsc(runs, limits)
     (low, high), p_h = limits["human_p_max"], joined(runs, "p_h")
     if low == high and not np.median(p_h) <= low <= 1e3 * abs(p_h.max()):
         raise ValueError(
-            f"human_p_max, the greatest human performance, is {low:g}, but the measured p_h is "
+            f"p_h_max, the greatest human performance, is {low:g}, but the measured p_h is "
             f"{np.median(p_h):.4g} in the median and {p_h.max():.4g} at most; give it in this unit"
         )
 
@@ -578,7 +583,7 @@ def fit_robot(
     fixed, bounds = _joint("fixed", fixed), _joint("bounds", bounds)
     if "guess" in settings:
         settings["guess"] = _joint("guess", settings["guess"])
-    model = replace(TSC, build=_robot_part)
+    model = replace(TSC, build=_robot_part, check=_check_robot)
     try:
         return _robot_of(fit(model, sessions, fixed, bounds, noise, log=log, **settings))
     except IdentificationError as error:

@@ -229,7 +229,7 @@ def read_factors(
 ) -> tuple[dict[Hashable, tuple], dict[Hashable, tuple]]:
     """
     Return the levels of every factor within and between subjects of a long table, whose columns are
-    checked. `order` has the levels of a single factor, or of several by name.
+    checked. `order` has the levels of a single factor (that within), or of several by name.
     """
     of_class("frame", frame, pd.DataFrame, "with a row per subject and condition")
     within, between = names_of(within), names_of(between)
@@ -245,7 +245,8 @@ def read_factors(
     people = frame[subject]
     refuse_missing_labels(people, "subject")
     if order is not None and not isinstance(order, dict):
-        order = {factors[0]: order} if len(factors) == 1 else of_class("order", order, dict)
+        single = len(within or between) == 1
+        order = {factors[0]: order} if single else of_class("order", order, dict)
     if unknown := [name for name in order or {} if name not in factors]:
         raise ValueError(f"order: {unknown[0]!r} is not a factor of this design: {factors}")
     levels = {}
