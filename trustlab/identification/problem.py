@@ -449,8 +449,8 @@ class Problem:
         squares, samples = grams[:, 0, 0], self.counts
         weights = samples / (squares + self.floors)
         with np.errstate(all="ignore"):
-            deviance = float(samples @ -np.log(weights)) + log_determinant
-        gram = np.tensordot(weights, grams, 1)
+            deviance = float(samples @ np.log(1.0 / weights)) + log_determinant
+            gram = np.tensordot(weights, grams, 1)
         residual, root = _least_squares(gram)
         equations = Equations(deviance, gram[1:, 1:], squares, weights, residual, root)
         self.evaluated = (x.copy(), equations)
