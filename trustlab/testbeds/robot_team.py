@@ -184,7 +184,9 @@ class TeamLoop(Loop):
         performance: str = "motion",
         trust: TrustDynamics | TrustInLoop | None = None,
     ):
-        operator, settings, trial = operator or OPERATOR, settings or SETTINGS, trial or TRIAL
+        operator = OPERATOR if operator is None else operator
+        settings = SETTINGS if settings is None else settings
+        trial = TRIAL if trial is None else trial
         self.seed = seed
         self.remedy = (
             "push less, switch the scattering with the leader, or use a filter that is passive"
