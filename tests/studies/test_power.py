@@ -243,3 +243,11 @@ def test_what_cannot_be_simulated_is_refused(arguments, message):
     population = {"mean": [0.0, 0.5, 1.0], "covariance": graded_covariance(size)}
     with pytest.raises(ValueError, match=message):
         tl.power_analysis(**population | arguments, simulation=SMALL)
+
+
+def test_names_of_a_covariance_are_those_of_the_conditions():
+    """They were taken by position: C's variance went to A."""
+    means = {"A": 1.0, "B": 2.0, "C": 5.0}
+    other = pd.DataFrame(np.diag([1.0, 2.0, 30.0]), list("CBA"), list("CBA"))
+    with pytest.raises(ValueError, match=r"covariance must have the conditions \['A', 'B', 'C'\]"):
+        tl.power_analysis(means, other, n=5)

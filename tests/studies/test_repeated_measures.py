@@ -289,3 +289,10 @@ def test_wilcoxon_pairs_are_those_of_scipy():
         assert row.method == "exact"
     order = found["p"].sort_values()
     assert found["p_holm"][order.index[0]] == pytest.approx(min(3 * order.iloc[0], 1.0))
+
+
+def test_an_order_is_any_sequence_and_two_conditions_name_no_correction():
+    frame = long(np.random.default_rng(0).normal(size=(8, 2)))
+    text = tl.repeated_measures(frame, **COLUMNS, order=frame[COLUMNS["within"]].unique()).apa()
+    assert "correction of degrees" not in text
+    assert "(N = 8): " in text

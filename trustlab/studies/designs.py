@@ -147,6 +147,7 @@ def design_balance(
     columns = {"participant": participant, "position": position, "condition": condition}
     for argument, name in columns.items():
         refuse_missing_labels(column_of(orders, argument, name), argument)
+    labels_of("condition", orders[condition].drop_duplicates(), 2)
     rows = orders.sort_values(position)
     labels = sorted(orders[condition].unique(), key=str)
     for label, part in rows.groupby(participant, sort=False):

@@ -360,8 +360,14 @@ def population_of(
     if several:
         return _population_of_cells(pd.Series(mean, dtype=float), covariance, columns, origin)
     means = finite_numbers("mean", mean)
-    labels = [*mean.index] if isinstance(mean, pd.Series) else range(1, means.size + 1)
-    return Conditions(labels, means, covariance, origin)
+    labels = [*mean.index] if isinstance(mean, pd.Series) else []
+    if isinstance(covariance, pd.DataFrame):
+        labels = labels or [*covariance.index]
+        if not labels == [*covariance.index] == [*covariance.columns]:
+            raise ValueError(
+                f"covariance must have the conditions {labels} in rows and columns, in this order"
+            )
+    return Conditions(labels or range(1, means.size + 1), means, covariance, origin)
 
 
 def _several(columns: StudyColumns) -> bool:

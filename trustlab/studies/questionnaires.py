@@ -92,7 +92,7 @@ class Questionnaire(Result):
         of_class("subscales", self.subscales, dict)
         items = labels_of("items", self.items, 1)
         for name, part in self._parts.items():
-            if unknown := {*labels_of(name, part, 0)} - {*items}:
+            if unknown := {*labels_of(name, part, name in self.subscales)} - {*items}:
                 raise ValueError(f"{name}: {unknown.pop()!r} is none of the items {items}")
         low, high = in_order("low", self.low, "high", self.high)
         steps = 1.0 if self.step is None else (high - low) / positive("step", self.step)

@@ -115,7 +115,7 @@ def levels_of(series: pd.Series, argument: str, order: Any = None) -> tuple:
     refuse_missing_labels(series, argument)
     labels = tuple(dict.fromkeys(series.tolist()))
     if order is not None:
-        listed = list(order) if isinstance(order, list | tuple) else []
+        listed = list(order) if np.iterable(order) and not isinstance(order, str) else []
         if len(listed) != len(labels) or any(label not in listed for label in labels):
             raise ValueError(
                 f"order must list every condition in column {series.name!r} once, {[*labels]}, got "
@@ -158,6 +158,9 @@ class Tested(Result):
                 "per effect"
             )
         return values[0]
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.tests]
 
     def table(self) -> pd.DataFrame:
         """Return the tests, a row for each effect; nothing is rounded."""

@@ -20,8 +20,8 @@ _ADJUSTMENTS = {
 _HEADS = {
     "mean": "M",
     "sd": "SD",
-    "ci_low": "95% CI low",
-    "ci_high": "95% CI high",
+    "ci_low": "CI low",
+    "ci_high": "CI high",
     "stderr": "standard error",
     "se": "standard error",
     "p_corrected": "p",
@@ -31,8 +31,8 @@ _HEADS = {
     "p_bonferroni": "p (Bonferroni)",
     "df1_corrected": "df1",
     "df2_corrected": "df2",
-    "d_z_low": "d_z, 95% CI low",
-    "d_z_high": "d_z, 95% CI high",
+    "d_z_low": "d_z, CI low",
+    "d_z_high": "d_z, CI high",
     "eta2_partial": "ηp²",
     "eta2_partial_low": "ηp², 90% CI low",
     "eta2_partial_high": "ηp², 90% CI high",
@@ -189,12 +189,13 @@ def apa_report(result: Any, adjust: str = "holm") -> str:
     rows = result.table().to_dict("records")
     sizes = [len(levels) for levels in (*result.between.values(), *result.within.values())]
     size = "one-way" if result.one_way else " × ".join(map(str, sizes))
-    rule = in_words(result.correction_rule)
+    corrected = any(row["correction"] != "none" for row in rows)
+    rule = in_words(result.correction_rule) if corrected else ""
     kind = "mixed" if result.between else "repeated-measures"
     effects = "; ".join(effect_text(row, "_corrected", result.alpha) for row in rows)
     text = (
-        f"{mark(result.origin)}A {size} {kind} ANOVA of {result.dv} (N = {result.n}, correction of "
-        f"degrees of freedom: {rule}): {effects}."
+        f"{mark(result.origin)}A {size} {kind} ANOVA of {result.dv} (N = {result.n}"
+        f"{', correction of degrees of freedom: ' * corrected}{rule}): {effects}."
     )
     if result.one_way:
         means = listed(condition_means(result.descriptives()))

@@ -297,7 +297,9 @@ class Allows(Relation):
         at_least, low, _ = self.least.range(numbers)
         at_most, _, high = self.most.range(numbers)
         if not at_least <= number.value < at_most:
-            note = f"As printed they allow {show(at_least)} to {show(at_most)}."
+            note = (
+                f"As printed they give {show(at_least)} to {show(at_most)}, the upper end excluded."
+            )
             note = note if self.binding else f"Suspicious: {note}"
         text = f"{self.least.text} … {self.most.text}"
         inputs = self.least.inputs(numbers) | self.most.inputs(numbers)
@@ -326,6 +328,8 @@ def row_within(
         reason = "Other printed numbers leave it open."
     else:
         reason = f"Not determined by other printed numbers, which allow it {between}."
+        if binding:
+            reason = f"Not determined by other printed numbers; their limits are {between}."
     first = note.startswith("Suspicious")
     return row_about(
         number,

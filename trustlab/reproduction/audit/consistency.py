@@ -255,6 +255,7 @@ def _sd(measure: str, mean: str, numbers: Numbers) -> Row:
     size, scale = _size(measure), MEASURES["scales"][measure]
     most = greatest_sd(numbers[mean].compatible, numbers[size].value, scale)
     text = f"all scores at the ends of the scale, {scale[0]:g} to {scale[1]:g}"
+    text = "all scores but one at the lowest" if math.isinf(scale[1]) else text
     return row_within(number, (0.0, most), text, {"M": mean, "n": size}, numbers)
 
 
@@ -285,8 +286,9 @@ def _ratings(measure: str, ids: Mapping[str, str], numbers: Numbers) -> list[Row
             rows.append(row_about(numbers[id], f"{remark}weighted (GRIM)."))
         elif expected and not fits(condition, expected):
             rows.append(row_about(numbers[id], f"With {expected} no whole points round to it."))
-    reason = f"The number or rule of {word} is not printed. "
-    reason += f"All means are whole points for: {'; '.join(fitting[:4]) or 'none of ' + tried}."
+    what = "rule of scoring" if word == "scoring" else "number of items"
+    reason = f"The {what} is not printed. All means are whole points for: "
+    reason += f"{'; '.join(fitting[:4]) or 'none of ' + tried}."
     if expected and expected not in fitting:
         reason = f"Suspicious: not {expected} ({source}). {reason}"
     fewest = float(rules[fitting[0]]) if fitting and word == "items" else math.nan

@@ -326,7 +326,6 @@ CASE_STUDY: tuple[Follows | Allows, ...] = (
         spread_of_participant_3,
         ids={"l": "table_2.3/TSC_l.sd/*", "u": "table_2.3/TSC_u.sd/*"},
         target=POSITIVE,
-        note="Largest for both thresholds together, not for each alone.",
     ),
     lies_above("trust", "23", "145", "table_2.4/trust"),
     lies_above("satisfaction", "23", "145", "table_2.4/satisfaction"),

@@ -159,9 +159,9 @@ def _impossible(
             wrong[name] = f"a t-test compares two conditions, and there are {k}"
         elif test not in ("mean", "sd") and not _meets(s, least, most):
             within = f"be {most:g}" if least == most else f"lie between {least:.4g} and {most:.4g}"
-            wrong[name] = f"{name} = {s.text} must {within} for {k} conditions, n = {n}"
+            wrong[name] = f"{name} = {s.text} must {within}"
             if "df" in name or name == "epsilon":
-                wrong[name] += _where_degrees_belong(study)
+                wrong[name] += f" for {k} conditions, n = {n}{_where_degrees_belong(study)}"
     return wrong
 
 
