@@ -103,7 +103,7 @@ def test_any_result_is_written_and_read_again(name, tmp_path):
     assert len(page) == len(own)
     if name == "one wide row":
         assert page.columns.tolist() == ["statistic", "value"]
-        assert {"a", "mean difference", "CI low", "p", "t"} <= set(page["statistic"])
+        assert {"a", "mean difference", "95% CI low", "p", "t"} <= set(page["statistic"])
     latex = written.write(tmp_path / "r.tex").read_text(encoding="utf-8")
     assert latex.count(r"\begin{tabular}") == 1
     assert written.origin in latex
@@ -162,3 +162,12 @@ def test_what_no_document_can_show_is_refused(tmp_path):
         with pytest.raises(ValueError, match="holds a control character"):
             two_way(frame).write(tmp_path / f"r.{ending}")
     assert not list(tmp_path.iterdir())
+
+
+def test_heads_name_the_level_of_intervals(tmp_path):
+    frame = frame_of()[lambda f: f["task"] == "easy"]
+    columns = {"dv": "score", "within": "scheme", "subject": "person"}
+    study = tl.report(tl.paired_t_test(frame, **columns, confidence=0.9))
+    text = study.write(tmp_path / "r.tex").read_text()
+    assert r"90\% CI" in text
+    assert r"95\% CI" not in text

@@ -246,6 +246,9 @@ def _printed(table: pd.DataFrame) -> pd.DataFrame:
     named = table.reset_index() if table.index.names != [None] else table
     texts = apa_table(named.rename(columns=str).rename_axis(columns=None))
     texts = texts.astype(object).where(texts.notna(), "").map(str).rename(columns=in_words)
+    if "confidence" in named:
+        level = f"{100.0 * named['confidence'].iloc[0]:g}%"
+        texts = texts.rename(columns=lambda head: head.replace("95%", level))
     for name in ("parameter", "correction"):
         if name in texts:
             texts[name] = texts[name].map(in_words)
