@@ -1,12 +1,17 @@
-"""Runs of the three tasks for tests: their settings, and commands for them."""
+"""Runs of the three tasks for tests, and what the files of a study say."""
 
 import json
 
 import numpy as np
 
 import trustlab as tl
+from trustlab.live.study.plan import file_origin
 from trustlab.live.task import task_named
 from trustlab.live.tasks.ground_robot import drive_config
+from trustlab.live.trial import read_record
+
+# --- runs -----------------------------------------------------------------------------------------
+
 
 MODEL = tl.published_models()["2"]
 
@@ -40,3 +45,30 @@ def stepped(config, commands):
 
 def session_of(config, commands):
     return task_named(config["live_task"]).session(config, stepped(config, commands))
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def record(plan, code="P01", name="01-training"):
+    """What the log of a drive says."""
+    origin = file_origin(plan.digest, code, name)
+    return read_record(plan.folder / code / f"{name}.jsonl", origin)[0]
+
+
+def entries(path):
+    """The entries of a log, without the digests before them."""
+    return [json.loads(line)[1] for line in path.read_text().splitlines()]
+
+
+def events(plan, code="P01"):
+    path = plan.folder / code / "events.jsonl"
+    return entries(path) if path.exists() else []
+
+
+def advance(participant, name):
+    """Have every page before the first of this name done; return that page's number."""
+    page = next(step.index for step in participant.steps if step.page.name == name)
+    for index in set(range(page)) - set(participant.progress.done):
+        participant.add("page", page=index, name="x", attempt=0, link="")
+    return page

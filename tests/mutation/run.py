@@ -45,7 +45,7 @@ MODULES = {
     "teleoperation/test_passivity.py",
     "teleoperation/ports/waves": "teleoperation/test_ledger.py teleoperation/test_channel.py",
     "sessions/metrics": "sessions/test_metrics.py",
-    "studies/anova": "studies/test_anova.py studies/test_factorial.py studies/test_effect_sizes.py",
+    "studies/anova": "studies/test_anova.py studies/test_factorial.py studies/test_pairs.py",
 }
 
 # Kinds of changes: a sum becomes a difference, a product a quotient, a bound open or closed, a

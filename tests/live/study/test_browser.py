@@ -13,7 +13,7 @@ import time
 import pytest
 
 import trustlab as tl
-from tests.live.study.recording import advance, record
+from tests.live.cases import advance, record
 from tests.live.study.test_crashes import Server, plant_torn_line
 from trustlab.live.study.plan import read_tokens
 from trustlab.live.study.server import StudyServer

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from tests.live.study.recording import entries, events
+from tests.live.cases import entries, events
 from trustlab.live.study.drives import FROM_FIT, FROM_PART, FROM_STAND_IN, identified
 from trustlab.live.study.export import write_export
 from trustlab.live.tasks.ground_robot import model_of

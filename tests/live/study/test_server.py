@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from tests.live.study.recording import advance, entries, events, record
+from tests.live.cases import advance, entries, events, record
 from trustlab.live.study.plan import read_tokens, tokens_path
 from trustlab.live.study.server import StudyServer
 
