@@ -265,8 +265,9 @@ def test_events_that_were_lost_are_not_gone_on_behind(make_plan, client, lost):
     """Else the last link would be written anew, and nobody could see that there had been more."""
     plan = make_plan()
     with StudyServer(plan) as server:
-        client(server.links()["P01"] + "/answers", CONSENT)
-        client(server.links()["P01"] + "/withdraw", {})
+        link = server.links()["P01"]
+        client(link + "/answers", CONSENT)
+        client(link + "/withdraw", {})
     folder = plan.folder / "P01"
     events = folder / "events.jsonl"
     lines = events.read_text().splitlines(keepends=True)
@@ -275,8 +276,14 @@ def test_events_that_were_lost_are_not_gone_on_behind(make_plan, client, lost):
         events.unlink()
     if lost == "folder":
         folder.rmdir()
-    with pytest.raises(ValueError, match=r"events.jsonl.* missing; restore it"):
-        StudyServer(plan).__enter__()
+    with StudyServer(plan) as server:
+        other = server.links()["P02"]
+        answer = client(f"{other.rpartition('/')[0]}/{link.rpartition('/')[2]}/state")
+        assert (answer.status, "ask the experimenter" in answer.json["error"]) == (409, True)
+        assert client(other + "/state").status == 200  # the others go on
+        overview = client(server.experimenter + "/state").json
+        assert "events.jsonl: its last lines are missing; restore it" in overview["trouble"]
+        assert [person["code"] for person in overview["people"]] == ["P02", "P03"]
     assert tl.read_live_study(plan.folder).faults()["participant"].tolist() == ["P01"]
     folder.mkdir(exist_ok=True)
     events.write_text("".join(lines))

@@ -372,6 +372,7 @@ class StudyServer:
         self.files = {path.name: path.read_bytes() for path in files}
         self.queues: dict[str, asyncio.Lock] = {}
         self.participants: dict[str, Participant] = {}
+        self.damaged: dict[str, str] = {}  # participants who cannot go on, and why
         self.tokens: dict[str, str] = {}
         self.tokens_at = 0
         self.started = threading.Event()
@@ -394,7 +395,10 @@ class StudyServer:
         if is_deleted(self.plan.folder, code):
             if participant := self.participants.pop(code, None):
                 participant.close()
+            self.damaged.pop(code, None)
             raise DeletedError(f"participant {code} was deleted")
+        if code in self.damaged:
+            raise RefusedError("The study cannot go on here. Please ask the experimenter.")
         return self.participants[code]
 
     async def ask(self, code: str, request: str, body: dict) -> Any:
@@ -409,7 +413,7 @@ class StudyServer:
     async def free_place(self) -> str:
         """Take the place of the next participant whom nobody is yet, and return its token."""
         for code in self.plan.present():
-            if await self.ask(code, "enrol", {}):
+            if code not in self.damaged and await self.ask(code, "enrol", {}):
                 return self.tokens[code]
         raise RefusedError("All places of this study are taken. Thank you for your interest.")
 
@@ -446,11 +450,12 @@ class StudyServer:
         """Return what the experimenter's page shows; `trouble` is of the server itself."""
         people = []
         for code in self.plan.present():
-            row = self.participant(code).overview()
-            people.append(row | {"link": f"{self.base}/p/{self.tokens[code]}"})
-        trouble = ""
+            if code not in self.damaged:
+                row = self.participant(code).overview()
+                people.append(row | {"link": f"{self.base}/p/{self.tokens[code]}"})
+        trouble = "".join(f"{fault}. " for fault in self.damaged.values())
         if self.disk:
-            trouble = (
+            trouble += (
                 f"Nothing can be saved ({self.disk}): make room on the disk of "
                 f"{self.plan.folder.name}. Nothing is lost; participants' pages wait, and go on by "
                 "themselves. "
@@ -577,8 +582,13 @@ class StudyServer:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
         self.free_handles = soft - own
         for code in self.plan.present():
-            self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
-            files.callback(self.participants[code].close)
+            try:
+                self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
+            except LogError as error:  # the others go on
+                self.damaged[code] = str(error)
+                tornado.log.app_log.error("%s", error)
+            else:
+                files.callback(self.participants[code].close)
         return tornado.netutil.bind_sockets(self.port, self.address)
 
     def wait(self) -> None:
