@@ -163,7 +163,7 @@ def check_report(study, browser):
     headings = ["Who took part", "Measures by condition", "Questionnaires", "Order effects"]
     for heading in [*headings, "What people wrote"]:
         assert heading in words
-    assert re.search(r"p_r by condition.*\(N = 3, ", words), words[1000:2500]
+    assert re.search(r"p_r by condition.*\(N = 3\)", words), words[1000:2500]
     assert str(study.plan.folder.parent) not in path.read_text()
 
 
