@@ -9,6 +9,8 @@ from statistics import median
 from time import perf_counter
 from typing import NamedTuple
 
+from benchmarks.peers.worker import Seconds
+
 # A repetition lasts at least so many seconds: a quicker call is repeated, and the mean is taken.
 LEAST = 0.005
 
@@ -40,7 +42,7 @@ def seconds(call: Callable[[], object], calls: int) -> float:
         spent = perf_counter() - began
     finally:
         gc.enable()
-    return (sum(told) if isinstance(told[0], float) else spent) / calls
+    return (sum(told) if isinstance(told[0], Seconds) else spent) / calls
 
 
 def calls_of(call: Callable[[], object]) -> int:

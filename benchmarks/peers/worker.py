@@ -17,6 +17,10 @@ from time import perf_counter
 PYTHON = Path(__file__).parents[1] / ".venv" / "bin" / "python"
 
 
+class Seconds(float):
+    """What a call took in a peer's process."""
+
+
 class Worker:
     """A peer's process: names of calls in, seconds and results out."""
 
@@ -43,7 +47,7 @@ class Worker:
 
     def timed(self, way: str):
         """Return a call that returns its seconds in the peer's process."""
-        return lambda: self.ask(way)[0]
+        return lambda: Seconds(self.ask(way)[0])
 
     def __enter__(self):
         return self

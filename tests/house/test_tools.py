@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from benchmarks import __main__ as bench, timing
+from benchmarks.peers.worker import Seconds
 from tests.house.documents import ROOT
 from tests.mutation.run import MODULES
 
@@ -50,7 +51,9 @@ def test_continuous_integration_makes_reports_then_tests_and_stops_at_a_failure(
 
 
 def test_one_case_runs_alone_and_leaves_the_page(monkeypatch, capsys, tmp_path):
-    row = timing.beside("work", lambda: 1e-3, "peer", lambda: 2e-3, least=1.5, turns=2)
+    row = timing.beside(
+        "work", lambda: Seconds(1e-3), "peer", lambda: Seconds(2e-3), least=1.5, turns=2
+    )
     assert (row.ratios, row.met) == ([2.0, 2.0], True)
     monkeypatch.setitem(sys.modules, "benchmarks.loops", SimpleNamespace(rows=lambda: iter([row])))
     monkeypatch.setattr(bench, "PAGE", tmp_path / "page.md")
