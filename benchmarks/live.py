@@ -147,7 +147,8 @@ def page_beside_others() -> tuple[list[float], float, float]:
         page.click("input[type=checkbox]")
         page.click("form button")
         page.click("main > button")
-        page.wait_for_function("self.study.rows >= 20")
+        while page.evaluate("self.study.rows") < 20:  # pages evaluate no text of their own
+            time.sleep(0.1)
         page.keyboard.down("ArrowUp")
         time.sleep(DRIVE)
         told = page.evaluate("self.study.run.telemetry()")
