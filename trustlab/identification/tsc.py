@@ -18,7 +18,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy import signal
 
 from trustlab.identification.fit import fit
 from trustlab.identification.log import LogSettings, Run, block_means, joined
@@ -255,6 +254,8 @@ def _robot(
     means: list[Run], limits: Mapping, length: int, p_h_max: float, drives: list
 ) -> dict[str, Any]:
     """Return the robot that suits best under P_h, an array (blocks,) for each run."""
+    from scipy import signal
+
     robots = []
     for a in _rates(means, limits["a"], length):
         parts = []
