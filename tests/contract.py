@@ -415,8 +415,9 @@ def faults(call):
             continue
         lines, effects = [], []
         tried = values(call, argument) if argument in call.arguments else [1.0]
+        default = call.parameters[argument].default if argument in call.parameters else WORD
         for value in tried:
-            if same(value, call.arguments.get(argument, WORD)):
+            if same(value, call.arguments.get(argument, WORD)) or same(value, default):
                 continue
             answer, error = outcome(call, **{argument: value})
             if error is None:

@@ -69,9 +69,10 @@ CHANGES = [
     ("x + 1.0", "x + 2.0"),
     ("VALUE = 0", "VALUE = 1"),
 ]
-# Runs each set of files in a child of its own, which has imported nothing but trustlab.
+# Runs each set of files in a child of its own, which has imported nothing but trustlab and numba.
 DRIVER = """
 import json, os, pathlib, runpy, sys
+import numba
 import trustlab.campaign.run
 sys.dont_write_bytecode = True
 sys.path.insert(0, "")
