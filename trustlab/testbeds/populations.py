@@ -10,10 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy import linalg, special
 
 from trustlab.allocation.limits import threshold_limits
-from trustlab.identification.posterior.population import Population
 from trustlab.models.checks import (
     of_class,
     one_of,
@@ -183,7 +181,7 @@ SAME = (lambda x: x, lambda z: z)
 LOG = (np.log, np.exp)
 LOG_BELOW = (lambda x: np.log(-x), lambda z: -np.exp(z))
 LOG_TAU = (lambda a: -np.log(1.0 - a), lambda z: 1.0 - np.exp(-z))
-LOGIT = (special.logit, special.expit)
+LOGIT = (lambda x: np.log(x / (1.0 - x)), lambda z: 1.0 / (1.0 + np.exp(-z)))
 
 
 class PersonCoordinate(NamedTuple):
@@ -356,7 +354,7 @@ class OperatorPopulation:
         return cls(rows.mean(axis=0), matrix, shares.to_numpy(), 0.24, origin)
 
     @classmethod
-    def of_people(cls, people: Population) -> "OperatorPopulation":
+    def of_people(cls, people: Any) -> "OperatorPopulation":
         """
         Return operators of the ground robot who resemble people that `fit_population` was given.
 
@@ -369,6 +367,8 @@ class OperatorPopulation:
         people : Population
             Performance in m/s, by (2.4) and (2.7).
         """
+        from trustlab.identification.posterior.population import Population
+
         rest = cls.ground_robot()
         new = of_class("people", people, Population, Population.how_to_get).new_person
         person = new[IDENTIFIED].set_axis(MODEL, axis=1)
@@ -377,7 +377,8 @@ class OperatorPopulation:
         rows = np.column_stack([coordinate.of(person) for coordinate in model])
         mean = np.r_[rows.mean(axis=0), rest.mean[len(model) :]]
         habits = rest.covariance[len(model) :, len(model) :]
-        covariance = linalg.block_diag(np.cov(rows.T), habits)
+        zeros = np.zeros((len(model), len(habits)))
+        covariance = np.block([[np.cov(rows.T), zeros], [zeros.T, habits]])
         origin = f"{len(people)} people by fit_population; answers by {rest.origin}"
         return cls(mean, covariance, rest.follow, float(new["robot_p_min"].mean()), origin)
 
