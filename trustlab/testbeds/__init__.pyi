@@ -19,10 +19,7 @@ from .robot_team import (
 from .team_run import TeamRun as TeamRun
 from .team_testbed import RobotTeam as RobotTeam
 from .teleoperation_measures import (
-    plot_alpha as plot_alpha,
     plot_energies as plot_energies,
-    plot_signals as plot_signals,
-    plot_trajectory as plot_trajectory,
     teleoperation_measures as teleoperation_measures,
 )
 from .testbed import (

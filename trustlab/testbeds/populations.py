@@ -17,7 +17,6 @@ from trustlab.models.checks import (
     one_of,
     whole_number,
 )
-from trustlab.models.display import axes_or_new
 from trustlab.models.published import printed_pilot, published_table
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import (
@@ -279,17 +278,6 @@ def person_at(z: np.ndarray, testbed: str, p_r_min: float) -> dict[str, float]:
     return {name: person[name] for name in (*MODEL, *OWN, *THRESHOLDS)}
 
 
-# What the figure of a population shows of people, across and up.
-PANELS = (("beta", "p_h_max"), ("a_r", "a_pr"), ("lower", "upper"))
-QUANTITIES = {
-    "beta": "β",
-    "p_h_max": "best human performance",
-    "a_r": "time constant of utilization [s]",
-    "a_pr": "time constant of robot performance [s]",
-    "lower": "own lower threshold of TSC",
-    "upper": "own upper threshold",
-}
-
 # --- populations ----------------------------------------------------------------------------------
 
 
@@ -396,34 +384,6 @@ class OperatorPopulation:
         mean, sd = printed.assign(**LEVELS).to_numpy()
         origin = "Tables 2.1-2.3 and Section 2.4.2.4; ranges of performance plausible, not measured"
         return cls(mean, np.diag(sd**2), FOLLOWED, P_R_MIN, origin, "uav_following")
-
-    def plot(self, n: int = 400, seed: int = 0) -> np.ndarray:
-        """
-        Plot operators drawn from the population; of the ground robot beside the participants of
-        Tables 2.1 and 2.3.
-
-        Parameters
-        ----------
-        n : int
-            How many to draw.
-        seed : int
-            Seed of the draws.
-
-        Returns
-        -------
-        numpy.ndarray of matplotlib.axes.Axes, shape (3,)
-        """
-        axes = axes_or_new(columns=len(PANELS), figsize=(8.2, 3.2))
-        layers = {"drawn": (self.draw(n, seed), ".")}
-        if self.testbed == "ground_robot":
-            layers["the five printed"] = (printed_people().loc[PRINTED], "kx")
-        for panel, (x, y) in zip(axes, PANELS, strict=True):
-            for label, (people, marks) in layers.items():
-                shown = people.assign(**SAMPLE_TIME / (1.0 - people[["a_r", "a_pr"]]))
-                panel.plot(shown[x], shown[y], marks, alpha=0.6, label=label)
-            panel.set(xlabel=QUANTITIES[x], ylabel=QUANTITIES[y])
-        axes[0].legend()
-        return axes
 
     def draw(
         self, n: int, seed: int = 0, assumptions: Mapping[str, float] | None = None

@@ -73,8 +73,8 @@ def simulate_team(
     Returns
     -------
     TeamRun
-        With `.converged`, `.time_to_goal`, `.table()`, `.positions`, `.plot()`, `.animate(path)`.
-        Labelled synthetic.
+        With `.converged`, `.time_to_goal`, `.table()`, `.positions`, `.plot()`. Labelled
+        synthetic.
 
     Raises
     ------
