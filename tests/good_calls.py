@@ -66,9 +66,7 @@ CALLS = {
     "testbeds.following_operator": lambda: {"participant": 2},
     "testbeds.identification_session": lambda: {"operator": cases.driver()},
     "testbeds.plot_energies": lambda: {"session": cases.flight()},
-    "testbeds.published_model": lambda: {"participant": 2},
     "testbeds.published_operator": lambda: {"participant": 2},
-    "testbeds.published_thresholds": lambda: {"participant": 2},
     "trust.predict": lambda: {
         "model": tl.trust.MODELS["asymmetric"](),
         "panel": cases.panel(),

@@ -8,9 +8,7 @@ from .populations import (
     OperatorPopulation as OperatorPopulation,
     TeleoperatorPopulation as TeleoperatorPopulation,
     following_operator as following_operator,
-    published_model as published_model,
     published_operator as published_operator,
-    published_thresholds as published_thresholds,
 )
 from .robot_team import (
     TeamLoop as TeamLoop,

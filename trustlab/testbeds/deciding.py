@@ -12,7 +12,7 @@ import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds
 from trustlab.allocation.rules import decision, performance_suggestion, prepared_rule
-from trustlab.models.checks import one_of, shown, warn, whole_seed
+from trustlab.models.checks import Seed, one_of, shown, warn, whole_seed
 from trustlab.models.compiled import inner
 from trustlab.models.tsc import TscModel, next_utilization, performance_at, threshold_mode
 from trustlab.operators.ground_robot import Operator
@@ -199,7 +199,7 @@ def metadata_of(
     testbed: str,
     operator: Operator,
     condition: str,
-    seed: int | np.random.SeedSequence,
+    seed: Seed,
     note: str,
     measured: str,
     **facts: Any,

@@ -114,23 +114,6 @@ def printed_person(participant: str) -> tuple[Operator, TscModel, tuple[float, f
     return person_of(people.loc[label])
 
 
-def published_model(participant: int | str) -> TscModel:
-    """
-    Return a participant's printed model, of Table 2.1 (the pilot's of Section 2.2).
-
-    Parameters
-    ----------
-    participant : int or str
-        1 to 5, "1" to "5", or "pilot".
-
-    Raises
-    ------
-    ValueError
-        If there is no such participant.
-    """
-    return printed_person(str(participant))[1]
-
-
 def published_operator(participant: int | str) -> Operator:
     """
     Return the simulated stand-in for a participant, made of what is printed of them.
@@ -152,23 +135,6 @@ def published_operator(participant: int | str) -> Operator:
         If there is no such participant.
     """
     return printed_person(str(participant))[0]
-
-
-def published_thresholds(participant: int | str) -> tuple[float, float]:
-    """
-    Return the decision thresholds TSC_l and TSC_u of Table 2.2 (the pilot's of Section 2.5).
-
-    Parameters
-    ----------
-    participant : int or str
-        1 to 5, "1" to "5", or "pilot".
-
-    Raises
-    ------
-    ValueError
-        If there is no such participant.
-    """
-    return printed_person(str(participant))[2]
 
 
 # --- what is normally distributed -----------------------------------------------------------------

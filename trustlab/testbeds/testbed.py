@@ -9,13 +9,13 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
 import pandas as pd
 
 from trustlab.allocation.rules import prepared_rule
 from trustlab.models.checks import (
     Checked,
     NotNegative,
+    Seed,
     of_class,
     one_of,
     whole_number,
@@ -39,7 +39,6 @@ from trustlab.testbeds.team_testbed import RobotTeam
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
-Seed = int | np.random.SeedSequence
 Person = Mapping[str, Any]
 
 
