@@ -51,7 +51,6 @@ CALLS = {
     "studies.partial_eta_interval": lambda: {"f": 4.0, "df1": 2.0, "df2": 22.0},
     "studies.participants_needed": lambda: {"conditions": 4},
     "teleoperation.corrected_filter": lambda: {"cutoff": 5.0, "impedance": 1.0},
-    "teleoperation.dominance": lambda: {"scattering": cases.scattering()},
     "teleoperation.packet_delay": lambda: {
         "sent": np.array([0.0, 0.1, 0.2]),
         "received": np.array([0.1, 0.2, 0.35]),
@@ -158,6 +157,5 @@ NOT_WALKED = {
     "sessions.plot_paths": "for one chapter",
     "sessions.tracking_error": "for one chapter",
     "studies.tlx_weights": "needs fifteen choices a person",
-    "teleoperation.plot_scales": "for one chapter",
 }
 """Names that are not walked over, with the reason."""

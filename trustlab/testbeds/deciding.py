@@ -235,10 +235,9 @@ def begin(task, person, state, rng):
 @inner
 def skill_now(task, person, state):
     """
-    Return human performance (2.6), as experience and the attention that deciding takes leave of it.
+    Return human performance (2.6), as the attention that deciding takes leaves it.
     """
-    # (2.6), for a rested and unpractised operator
-    skill = person.skill * performance_at(state.r, person.beta, person.p_min, person.p_max)
+    skill = performance_at(state.r, person.beta, person.p_min, person.p_max)
     free_to_decline = not task.forced and state.suggested >= 0 and state.suggested != state.mode
     if task.scheme == OWN or free_to_decline:
         skill *= 1.0 - person.attention_cost

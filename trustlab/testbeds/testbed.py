@@ -295,11 +295,10 @@ class ConditionTestbed(Checked, Testbed):
         run : ConditionRun
             The run.
         """
-        after = {**person, "sessions": person.get("sessions", 0) + 1}
-        if self.rest is not None:
-            last = float(run.log["r"][-1])
-            after["r0"] = last * run.model.human.a ** (self.rest / SAMPLE_TIME)  # (2.5)
-        return after
+        if self.rest is None:
+            return person
+        last = float(run.log["r"][-1])
+        return {**person, "r0": last * run.model.human.a ** (self.rest / SAMPLE_TIME)}  # (2.5)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -418,7 +417,7 @@ class UavTracking(Checked, Testbed):
         return SimpleNamespace(session=session, measures=measures)
 
 
-TESTBEDS: dict[str, Callable[..., Any]] = {
+TESTBEDS: dict[str, Any] = {
     bed.name: bed for bed in (GroundRobot, UavFollowing, UavTracking, RobotTeam)
 }
 
