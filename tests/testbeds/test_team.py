@@ -89,6 +89,18 @@ def test_robots_that_come_and_go_arrive(seed):
     assert len(run.graphs) == 3
 
 
+def test_a_figure_of_a_run_shows_its_transients_and_no_legend_over_curves():
+    run = tl.simulate_team(CHAIN, seed=0, duration=20.0)
+    axes = run.plot()
+    axes[0].figure.canvas.draw()
+    legends = [(axis, axis.get_legend()) for axis in axes if axis.get_legend()]
+    assert len(legends) == 2
+    for axis, legend in legends:
+        assert legend.get_window_extent().x0 >= axis.get_window_extent().x1
+    starts, ends = (axes[3].transData.transform((t, 0.0))[0] for t in (0.0, 2.0))
+    assert ends - starts > 0.25 * axes[3].get_window_extent().width  # of 20 s these are a tenth
+
+
 class TestDirected:
     CHAIN = nx.DiGraph([(1, 0), (2, 1), (3, 2), (3, 0)])  # robot 0 sees nobody and is seen by all
 
