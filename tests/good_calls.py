@@ -52,7 +52,6 @@ CALLS = {
     "studies.partial_eta_interval": lambda: {"f": 4.0, "df1": 2.0, "df2": 22.0},
     "studies.participants_needed": lambda: {"conditions": 4},
     "teleoperation.corrected_filter": lambda: {"cutoff": 5.0, "impedance": 1.0},
-    "teleoperation.dominance": lambda: {"scattering": cases.scattering()},
     "teleoperation.packet_delay": lambda: {
         "sent": np.array([0.0, 0.1, 0.2]),
         "received": np.array([0.1, 0.2, 0.35]),
@@ -66,13 +65,8 @@ CALLS = {
     "teleoperation.team_graph": lambda: {"graph": cases.graph()},
     "testbeds.following_operator": lambda: {"participant": 2},
     "testbeds.identification_session": lambda: {"operator": cases.driver()},
-    "testbeds.plot_alpha": lambda: {"sessions": [cases.flight()]},
     "testbeds.plot_energies": lambda: {"session": cases.flight()},
-    "testbeds.plot_signals": lambda: {"session": cases.flight()},
-    "testbeds.plot_trajectory": lambda: {"session": cases.flight()},
-    "testbeds.published_model": lambda: {"participant": 2},
     "testbeds.published_operator": lambda: {"participant": 2},
-    "testbeds.published_thresholds": lambda: {"participant": 2},
     "trust.predict": lambda: {
         "model": tl.trust.MODELS["asymmetric"](),
         "panel": cases.panel(),
@@ -108,7 +102,6 @@ CALLS = {
     "RobotModel.steady_state": lambda: {"mode": 1.0, "p_h": 0.4},
     "Session.between": lambda: {"start": 0.0, "stop": 0.1},
     "StudyReport.write": lambda: {"path": "report.html"},
-    "TeamRun.animate": lambda: {"path": "team.gif"},
     "TeleoperationLoop.run": lambda: {"until": 0.5},
     "ThresholdLimits.contains": lambda: dict(THRESHOLDS),
     "TrackingTask.path": lambda: {"t": np.array([0.0, 1.0]), "height": 0.0, "phase": 0.0},
@@ -165,6 +158,5 @@ NOT_WALKED = {
     "sessions.plot_paths": "for one chapter",
     "sessions.tracking_error": "for one chapter",
     "studies.tlx_weights": "needs fifteen choices a person",
-    "teleoperation.plot_scales": "for one chapter",
 }
 """Names that are not walked over, with the reason."""

@@ -14,7 +14,6 @@ ALLOWED = {
     "PerformanceRule.step": {"tsc": "rules take the same arguments"},
     "Session.with_metadata": {"misspelt": "any fact may be added"},
     "StudyReport.write": {"": "writes the time of day"},
-    "TeamRun.animate": {"path": "the page is the same wherever it is written"},
     "ThresholdCorrector.step": {"": "measures its own time"},
     "ThresholdRule.step": {"p_r": "rules take the same arguments"},
     "choose_thresholds": {"delta_p_h": "Theorem 1 leaves no room at a large one"},
@@ -266,19 +265,7 @@ KNOWN = {
     "testbeds.following_operator": {
         "participant": "foreign errors",
     },
-    "testbeds.plot_alpha": {
-        "sessions": "foreign errors",
-        "axes": "foreign errors",
-    },
     "testbeds.plot_energies": {
-        "session": "foreign errors",
-        "axes": "foreign errors",
-    },
-    "testbeds.plot_signals": {
-        "session": "foreign errors",
-        "axes": "foreign errors",
-    },
-    "testbeds.plot_trajectory": {
         "session": "foreign errors",
         "axes": "foreign errors",
     },

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from tests.loops import random_signals
-from trustlab.teleoperation import STUDIES, plot_scales
+from trustlab.teleoperation import STUDIES
 from trustlab.teleoperation.filters import (
     TwoPortFilter,
     corrected_filter,
@@ -19,7 +19,6 @@ from trustlab.teleoperation.filters import (
     sinusoid_energy,
 )
 from trustlab.teleoperation.ports.waves import Scattering
-from trustlab.teleoperation.transparency import dominance
 
 # --- filters --------------------------------------------------------------------------------------
 
@@ -128,7 +127,7 @@ def test_dominance_is_the_ratio_of_the_coefficients_of_3_22(channel):
         "velocity_robot": np.sqrt(2.0 * b / alpha),
         "velocity_operator": np.sqrt(2.0 * b * beta),
     }
-    assert dominance(channel) == pytest.approx(expected, rel=1e-12)
+    assert channel.dominance() == pytest.approx(expected, rel=1e-12)
 
 
 # Figures
@@ -137,7 +136,7 @@ def test_dominance_is_the_ratio_of_the_coefficients_of_3_22(channel):
 def test_scales_are_those_of_the_settings():
     """Oracle: (3.5) by hand, from upper to lower bound as trust grows."""
     ends = STUDIES["main"].scattering
-    lines = {line.get_label(): line for line in plot_scales(STUDIES["main"]).lines}
+    lines = {line.get_label(): line for line in STUDIES["main"].plot_scales().lines}
     for symbol, low, high in (
         ("α", ends.alpha_min, ends.alpha_max),
         ("β", ends.beta_min, ends.beta_max),

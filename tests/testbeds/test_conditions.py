@@ -12,13 +12,12 @@ from trustlab.models.simulation import Simulation
 from trustlab.models.tsc import threshold_mode
 from trustlab.testbeds import (
     OperatorPopulation,
-    published_model,
     published_operator,
-    published_thresholds,
     run_condition,
 )
 from trustlab.testbeds.deciding import CONDITIONS, SETTLING
 from trustlab.testbeds.ground_robot.conditions import drive_modes
+from trustlab.testbeds.populations import printed_person
 from trustlab.testbeds.uav_following import DURATION, E_MAX, U_MAX
 
 # --- conditions -----------------------------------------------------------------------------------
@@ -94,7 +93,7 @@ def test_measures(bed):
 @pytest.mark.parametrize("condition", CONDITIONS)
 def test_run_condition_as_typed(operators, condition):
     run = tl.run_condition(condition, participant=2, laps=2, seed=7)
-    thresholds = published_thresholds(2) if condition in ("C2", "C3") else None
+    thresholds = printed_person("2")[2] if condition in ("C2", "C3") else None
     arguments = condition, published_operator("2"), operators["2"], thresholds
     assert run.session == tl.run_condition(*arguments, laps=2, seed=7).session
     assert run.session == tl.run_condition(condition, "2", laps=2, seed=7).session
@@ -189,16 +188,16 @@ PEOPLE = ("1", "2", "3", "4", "5")
 
 @pytest.mark.parametrize("name", PEOPLE)
 def test_operators_are_what_the_tables_print(operators, name):
-    who = published_operator(name)
+    who, model, thresholds = printed_person(name)
     own, shares, pair = (
         tl.published_table(number)[name].astype(float) for number in ("2.3", "2.6", "2.2")
     )
     assert who.participant == name
-    assert who.human == operators[name].human == published_model(name).human
+    assert who.human == operators[name].human == model.human
     assert [who.lower, who.lower_spread, who.upper, who.upper_spread] == own.tolist()
     followed = 100.0 * who.follow_tsc, 100.0 * who.follow_performance
     assert followed == pytest.approx((shares["C2"], shares["C4"]))
-    assert published_thresholds(name) == (pair["TSC_l"], pair["TSC_u"])
+    assert thresholds == (pair["TSC_l"], pair["TSC_u"])
 
 
 @pytest.mark.parametrize("name", ["pilot", *PEOPLE])

@@ -19,7 +19,6 @@ from trustlab.testbeds.deciding import RANDOM_PHASE, SAMPLE_TIME, SETTLING
 from trustlab.testbeds.ground_robot.course import nearest_point, path_point
 
 MODEL = tl.published_models()["2"]
-TIRED = {"fatigue": 0.05, "sessions": 4}
 
 
 def run(condition, seed=7, laps=4, **assumed):
@@ -106,13 +105,3 @@ def test_taking_over_late_delays_the_manual_mode_alone():
     assert delays[0.0].max() <= 0.1
     assert delays[1.0].between(5.0, 5.2).all()
     assert delays[1.0].size > 0
-
-
-def test_learning_and_fatigue_follow_their_formula():
-    who = replace(published_operator(2), learning=0.1, fatigue=0.02)
-    skills = [replace(who, sessions=i).skill for i in range(3)]
-    assert skills == pytest.approx([1.0, 1.05 - 0.02, 1.075 - 0.04])
-    # P_h as measured where the operator alone has driven, relative to that of nobody tired
-    alone = slice(200, int(10 * SETTLING))
-    tired, fresh = (run("C5", **more).session["p_h"][alone].mean() for more in (TIRED, {}))
-    assert tired / fresh == pytest.approx(0.8, abs=0.03)

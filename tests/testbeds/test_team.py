@@ -7,7 +7,6 @@ Oracles: `simulate_team` with the same arguments; energy balances; a deaf leader
 import networkx as nx
 import numpy as np
 import pytest
-from PIL import Image
 
 import trustlab as tl
 from tests.loops import simulate_team
@@ -76,7 +75,7 @@ def test_energy_balances_through_changes(seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_robots_that_come_and_go_arrive(seed, tmp_path):
+def test_robots_that_come_and_go_arrive(seed):
     graph, arguments = changing_team(seed)
     run = simulate_team(graph, **arguments, duration=600.0, record_every=0.1)
     assert run.robots == tuple("abcdefg")
@@ -88,8 +87,18 @@ def test_robots_that_come_and_go_arrive(seed, tmp_path):
     leaders = run.data["number"].to_numpy().astype(int)
     assert here[np.arange(len(leaders)), leaders].all()
     assert len(run.graphs) == 3
-    with Image.open(run.animate(tmp_path / "team.gif", rate=50.0)) as film:
-        assert film.n_frames > 20
+
+
+def test_a_figure_of_a_run_shows_its_transients_and_no_legend_over_curves():
+    run = tl.simulate_team(CHAIN, seed=0, duration=20.0)
+    axes = run.plot()
+    axes[0].figure.canvas.draw()
+    legends = [(axis, axis.get_legend()) for axis in axes if axis.get_legend()]
+    assert len(legends) == 2
+    for axis, legend in legends:
+        assert legend.get_window_extent().x0 >= axis.get_window_extent().x1
+    starts, ends = (axes[3].transData.transform((t, 0.0))[0] for t in (0.0, 2.0))
+    assert ends - starts > 0.25 * axes[3].get_window_extent().width  # of 20 s these are a tenth
 
 
 class TestDirected:

@@ -1,7 +1,7 @@
 """Optimal mixed initiative (OMI, Appendix A): a share α that weighs error against departure."""
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 from trustlab.models.checks import between, finite_array, finite_numbers, in_order, positive
 from trustlab.models.compiled import njit
@@ -172,7 +172,7 @@ class OptimalBlending:
                 q[2, 2] = 200.0
                 q[:2, :2] = (1.0 - alpha) ** 2 * np.array([[1.0, -1.0], [-1.0, 1.0]])
                 block = np.block([[-a.T, q], [np.zeros((5, 5)), a]])
-                whole = linalg.expm(block * self.horizon)  # Van Loan
+                whole = scipy.linalg.expm(block * self.horizon)  # Van Loan
                 gram = whole[5:, 5:].T @ whole[:5, 5:]
                 values[axis, k] = 0.5 * (gram + gram.T)
         return (fit @ values.reshape(3, count, 25)).reshape(values.shape)

@@ -19,6 +19,8 @@ from typing import Annotated, Any, TypeVar, get_args
 import numpy as np
 
 Kind = TypeVar("Kind")
+# What random streams are spawned from.
+Seed = int | np.random.SeedSequence
 
 
 def shown(value: object) -> str:
@@ -194,7 +196,7 @@ def of_class(name: str, value: object, kind: type[Kind], remedy: str = "") -> Ki
     raise ValueError(f"{name} must be of class {kind.__name__}, got {type(value).__name__}{hint}")
 
 
-def spawned(seed: int | np.random.SeedSequence, count: int) -> list[np.random.SeedSequence]:
+def spawned(seed: Seed, count: int) -> list[np.random.SeedSequence]:
     """Return `count` independent children of a seed, the same at every call."""
     if not isinstance(seed, np.random.SeedSequence):
         seed = np.random.SeedSequence(whole_seed(seed))

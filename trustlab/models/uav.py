@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 from trustlab.models.checks import finite_array, finite_number, positive, set_checked
 
@@ -95,7 +95,7 @@ def held_over(sample_time: float, a: np.ndarray, b: np.ndarray) -> tuple[np.ndar
     # exp of [[A, B], [0, 0]] holds both the transition and the integral of the command
     block = np.pad(np.column_stack([a, b]), ((0, 1), (0, 0)))
     with np.errstate(all="ignore"):
-        exponential = linalg.expm(block * sample_time)
+        exponential = scipy.linalg.expm(block * sample_time)
     return exponential[:-1, :-1], exponential[:-1, -1]
 
 

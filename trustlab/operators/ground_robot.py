@@ -20,7 +20,6 @@ from trustlab.models.checks import (
     one_of,
     set_in_order,
     shown,
-    whole_number,
 )
 from trustlab.models.compiled import inner
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
@@ -29,14 +28,11 @@ from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 ASSUMPTIONS = {
     "attention_cost": (0.0, 0.5),
     "trust_bias": (-2.0, 2.0),
-    "learning": (0.0, 0.5),
-    "fatigue": (0.0, 0.05),
     "take_over_lag": (0.0, 60.0),
     "r0": (0.0, 1.0),
     "load_utilization": (0.0, 1.0),
     "load_switching": (0.0, 1.0),
 }
-MOST_SESSIONS = 10
 
 
 @inner
@@ -124,11 +120,6 @@ class Operator(Checked):
     r0 : float
         Utilization at the beginning of a run for which none is given, in [0, 1]; 0 is a rested
         operator.
-    learning, fatigue : float
-        Change of performance over the sessions of a study: after i of them it is 1 + learning (1 −
-        2⁻ⁱ) − fatigue i times (2.6). In [0, 0.5] and [0, 0.05].
-    sessions : int
-        i, how many sessions the operator has had before; at most 10.
     load_utilization, load_switching : float
         Share of the scale of task load at r = 1, and per switch or judged suggestion a minute
         (`allocation_answers`), in [0, 1]. With both 0 the operator answers no questionnaire.
@@ -178,9 +169,6 @@ class Operator(Checked):
     trust_bias: float = 0.0
     take_over_lag: float = 0.0
     r0: float = 0.0
-    learning: float = 0.0
-    fatigue: float = 0.0
-    sessions: int = 0
     load_utilization: float = 0.0
     load_switching: float = 0.0
 
@@ -190,8 +178,6 @@ class Operator(Checked):
         check_participant(self.participant)
         checked_assumptions({name: getattr(self, name) for name in ASSUMPTIONS})
         set_in_order(self, "lower", "upper")
-        sessions = whole_number("sessions", self.sessions, least=0, most=MOST_SESSIONS)
-        object.__setattr__(self, "sessions", sessions)
         if self.human.p_min < 0.1 or self.human.p_max > 1.0:
             raise ValueError(
                 "an operator drives at a performance (2.7) in m/s, between 0.1 and 1, but human "
@@ -200,18 +186,10 @@ class Operator(Checked):
             )
 
     @property
-    def skill(self) -> float:
-        """
-        Performance relative to (2.6), as learning and fatigue over sessions leave it: 1 without
-        them.
-        """
-        return 1.0 + self.learning * (1.0 - 0.5**self.sessions) - self.fatigue * self.sessions
-
-    @property
     def numbers(self) -> Any:
         """The operator as plain numbers, `OperatorNumbers`."""
         human = self.human
-        rest = (getattr(self, name) for name in (*NUMBERS, "skill"))
+        rest = (getattr(self, name) for name in NUMBERS)
         return OperatorNumbers._make((human.a, human.beta, human.p_min, human.p_max, *rest))
 
 
@@ -220,7 +198,7 @@ NUMBERS = [item.name for item in fields(Operator)][2:]
 
 # An `Operator` as plain numbers for compiled loops, by its names and those of its human model.
 OperatorNumbers = namedtuple(  # type: ignore[misc]
-    "OperatorNumbers", ["a", "beta", "p_min", "p_max", *NUMBERS, "skill"]
+    "OperatorNumbers", ["a", "beta", "p_min", "p_max", *NUMBERS]
 )
 
 

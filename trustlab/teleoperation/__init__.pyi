@@ -50,7 +50,3 @@ from .team.settings import (
     TeamSettings as TeamSettings,
     TeamTrial as TeamTrial,
 )
-from .transparency import (
-    dominance as dominance,
-    plot_scales as plot_scales,
-)

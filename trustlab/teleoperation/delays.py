@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from trustlab.models.checks import (
+    Seed,
     between,
     finite_array,
     in_order,
@@ -101,7 +102,7 @@ def random_walk_delay(
     low: float,
     high: float,
     max_rate: float,
-    seed: int | np.random.SeedSequence = 0,
+    seed: Seed = 0,
     hold: float = 0.5,
 ) -> Delay:
     """

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, shown
-from trustlab.models.display import Result, axes_or_new
+from trustlab.models.checks import of_class
+from trustlab.models.display import Result
 from trustlab.sessions.session import Session
 
 # Velocity and force at each port; power is positive where the port takes energy.
@@ -78,29 +78,6 @@ class Passivity(Result):
         when, final = ports.idxmin().rename("at"), ports.iloc[-1].rename("final_energy")
         return pd.concat([self.least_energy, when, final], axis=1).rename_axis("port").reset_index()
 
-    def plot(self, axes=None):
-        """
-        Plot the energy that each port has taken, over time.
-
-        Parameters
-        ----------
-        axes : matplotlib.axes.Axes, optional
-            Where to plot; a new figure when not given.
-
-        Returns
-        -------
-        matplotlib.axes.Axes
-        """
-        axes = axes_or_new(axes, figsize=(7.0, 3.2))
-        if not hasattr(axes, "axhline"):
-            raise ValueError(f"axes must be Matplotlib axes, got {shown(axes)}")
-        for port, style in zip(self.energies, ("-", "--"), strict=True):
-            axes.plot(self.energies[port], style, label=f"{port}'s port")
-        axes.axhline(0.0, color="0.6", lw=0.8, zorder=0)
-        axes.set(xlabel="time [s]", ylabel="energy taken [J]")
-        axes.legend(frameon=False, fontsize="small")
-        return axes
-
 
 def passivity(session: Session) -> Passivity:
     """
@@ -116,7 +93,7 @@ def passivity(session: Session) -> Passivity:
     Returns
     -------
     Passivity
-        With .passive, .bounded, .least_energy, .message, .table() and .plot().
+        With .passive, .bounded, .least_energy, .message and .table().
 
     Raises
     ------

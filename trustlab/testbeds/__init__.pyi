@@ -8,9 +8,7 @@ from .populations import (
     OperatorPopulation as OperatorPopulation,
     TeleoperatorPopulation as TeleoperatorPopulation,
     following_operator as following_operator,
-    published_model as published_model,
     published_operator as published_operator,
-    published_thresholds as published_thresholds,
 )
 from .robot_team import (
     TeamLoop as TeamLoop,
@@ -19,10 +17,7 @@ from .robot_team import (
 from .team_run import TeamRun as TeamRun
 from .team_testbed import RobotTeam as RobotTeam
 from .teleoperation_measures import (
-    plot_alpha as plot_alpha,
     plot_energies as plot_energies,
-    plot_signals as plot_signals,
-    plot_trajectory as plot_trajectory,
     teleoperation_measures as teleoperation_measures,
 )
 from .testbed import (

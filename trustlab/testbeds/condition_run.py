@@ -3,7 +3,6 @@ What a run under one of the conditions C1–C5 hands back, on whichever testbed:
 suggestions, answers.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,7 +16,6 @@ from trustlab.allocation.estimates import (
     followed_suggestions,
     suggestion_episodes,
 )
-from trustlab.models.checks import finite_array, one_of, shown
 from trustlab.models.display import Result, axes_or_new
 from trustlab.models.tsc import TscModel
 from trustlab.operators.answers import allocation_answers
@@ -157,40 +155,24 @@ class ConditionRun(Result):
         facts = {name: getattr(self.metadata, name) for name in names}
         return pd.DataFrame([facts | self.measures])
 
-    def plot(self, bounds: dict[str, tuple[float, float]] | None = None):
+    def plot(self) -> np.ndarray:
         """
-        Plot P_r, r, P_h and TSC against time, manual phases shaded, as Fig. 2.9 does.
-
-        Parameters
-        ----------
-        bounds : dict of str to (float, float), optional
-            Lower and upper bounds to draw, by column: p_r, r, p_h or tsc; for tsc the thresholds
-            when not given.
+        Plot P_r, r, P_h and TSC against time, with the thresholds and manual phases shaded, as Fig.
+        2.9 does.
 
         Returns
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (4,)
-
-        Raises
-        ------
-        ValueError
-            If bounds name a column that is not plotted, or are not two finite numbers.
         """
         session = self.session
-        if not isinstance(bounds, Mapping | None):
-            raise ValueError(f"bounds must map columns to (low, high), got {shown(bounds)}")
-        lines: dict[str, Any] = {} if self.thresholds is None else {"tsc": self.thresholds}
-        for name, pair in (bounds or {}).items():
-            one_of("a column of bounds", name, PANELS)
-            lines[name] = finite_array(f"bounds[{name!r}]", pair, length=2)
         axes = axes_or_new(None, len(PANELS), sharex=True, figsize=(8.0, 7.6))
         unit = " [m/s]" if "v_command" in session else ""  # performance of the UAV is a share
         for panel, (name, label) in zip(axes, PANELS.items(), strict=True):
             panel.plot(session.t, session[name], lw=1.2)
-            for line in lines.get(name, ()):
-                panel.axhline(line, ls="--", lw=1.0, color="C1")
             panel.set_ylabel(label + unit * name.startswith("p_"))
             shade_manual(panel, session.t, session["mode"])
+        for threshold in self.thresholds or ():
+            axes[-1].axhline(threshold, ls="--", lw=1.0, color="C1")
         axes[-1].set(xlabel="time [s]", xlim=(session.t[0], session.t[-1]))
         axes[0].set_title(f"{session.label} (manual phases shaded)", fontsize="medium")
         return axes

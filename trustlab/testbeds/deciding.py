@@ -12,7 +12,7 @@ import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds
 from trustlab.allocation.rules import decision, performance_suggestion, prepared_rule
-from trustlab.models.checks import one_of, shown, warn, whole_seed
+from trustlab.models.checks import Seed, one_of, shown, warn, whole_seed
 from trustlab.models.compiled import inner
 from trustlab.models.tsc import TscModel, next_utilization, performance_at, threshold_mode
 from trustlab.operators.ground_robot import Operator
@@ -199,7 +199,7 @@ def metadata_of(
     testbed: str,
     operator: Operator,
     condition: str,
-    seed: int | np.random.SeedSequence,
+    seed: Seed,
     note: str,
     measured: str,
     **facts: Any,
@@ -235,10 +235,9 @@ def begin(task, person, state, rng):
 @inner
 def skill_now(task, person, state):
     """
-    Return human performance (2.6), as experience and the attention that deciding takes leave of it.
+    Return human performance (2.6), as the attention that deciding takes leaves it.
     """
-    # (2.6), for a rested and unpractised operator
-    skill = person.skill * performance_at(state.r, person.beta, person.p_min, person.p_max)
+    skill = performance_at(state.r, person.beta, person.p_min, person.p_max)
     free_to_decline = not task.forced and state.suggested >= 0 and state.suggested != state.mode
     if task.scheme == OWN or free_to_decline:
         skill *= 1.0 - person.attention_cost

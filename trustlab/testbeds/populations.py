@@ -10,16 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy import linalg, special
 
 from trustlab.allocation.limits import threshold_limits
-from trustlab.identification.posterior.population import Population
 from trustlab.models.checks import (
     of_class,
     one_of,
     whole_number,
 )
-from trustlab.models.display import axes_or_new
 from trustlab.models.published import printed_pilot, published_table
 from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import (
@@ -117,23 +114,6 @@ def printed_person(participant: str) -> tuple[Operator, TscModel, tuple[float, f
     return person_of(people.loc[label])
 
 
-def published_model(participant: int | str) -> TscModel:
-    """
-    Return a participant's printed model, of Table 2.1 (the pilot's of Section 2.2).
-
-    Parameters
-    ----------
-    participant : int or str
-        1 to 5, "1" to "5", or "pilot".
-
-    Raises
-    ------
-    ValueError
-        If there is no such participant.
-    """
-    return printed_person(str(participant))[1]
-
-
 def published_operator(participant: int | str) -> Operator:
     """
     Return the simulated stand-in for a participant, made of what is printed of them.
@@ -157,23 +137,6 @@ def published_operator(participant: int | str) -> Operator:
     return printed_person(str(participant))[0]
 
 
-def published_thresholds(participant: int | str) -> tuple[float, float]:
-    """
-    Return the decision thresholds TSC_l and TSC_u of Table 2.2 (the pilot's of Section 2.5).
-
-    Parameters
-    ----------
-    participant : int or str
-        1 to 5, "1" to "5", or "pilot".
-
-    Raises
-    ------
-    ValueError
-        If there is no such participant.
-    """
-    return printed_person(str(participant))[2]
-
-
 # --- what is normally distributed -----------------------------------------------------------------
 
 
@@ -183,7 +146,7 @@ SAME = (lambda x: x, lambda z: z)
 LOG = (np.log, np.exp)
 LOG_BELOW = (lambda x: np.log(-x), lambda z: -np.exp(z))
 LOG_TAU = (lambda a: -np.log(1.0 - a), lambda z: 1.0 - np.exp(-z))
-LOGIT = (special.logit, special.expit)
+LOGIT = (lambda x: np.log(x / (1.0 - x)), lambda z: 1.0 / (1.0 + np.exp(-z)))
 
 
 class PersonCoordinate(NamedTuple):
@@ -281,17 +244,6 @@ def person_at(z: np.ndarray, testbed: str, p_r_min: float) -> dict[str, float]:
     return {name: person[name] for name in (*MODEL, *OWN, *THRESHOLDS)}
 
 
-# What the figure of a population shows of people, across and up.
-PANELS = (("beta", "p_h_max"), ("a_r", "a_pr"), ("lower", "upper"))
-QUANTITIES = {
-    "beta": "β",
-    "p_h_max": "best human performance",
-    "a_r": "time constant of utilization [s]",
-    "a_pr": "time constant of robot performance [s]",
-    "lower": "own lower threshold of TSC",
-    "upper": "own upper threshold",
-}
-
 # --- populations ----------------------------------------------------------------------------------
 
 
@@ -356,7 +308,7 @@ class OperatorPopulation:
         return cls(rows.mean(axis=0), matrix, shares.to_numpy(), 0.24, origin)
 
     @classmethod
-    def of_people(cls, people: Population) -> "OperatorPopulation":
+    def of_people(cls, people: Any) -> "OperatorPopulation":
         """
         Return operators of the ground robot who resemble people that `fit_population` was given.
 
@@ -369,6 +321,8 @@ class OperatorPopulation:
         people : Population
             Performance in m/s, by (2.4) and (2.7).
         """
+        from trustlab.identification.posterior.population import Population
+
         rest = cls.ground_robot()
         new = of_class("people", people, Population, Population.how_to_get).new_person
         person = new[IDENTIFIED].set_axis(MODEL, axis=1)
@@ -377,7 +331,8 @@ class OperatorPopulation:
         rows = np.column_stack([coordinate.of(person) for coordinate in model])
         mean = np.r_[rows.mean(axis=0), rest.mean[len(model) :]]
         habits = rest.covariance[len(model) :, len(model) :]
-        covariance = linalg.block_diag(np.cov(rows.T), habits)
+        zeros = np.zeros((len(model), len(habits)))
+        covariance = np.block([[np.cov(rows.T), zeros], [zeros.T, habits]])
         origin = f"{len(people)} people by fit_population; answers by {rest.origin}"
         return cls(mean, covariance, rest.follow, float(new["robot_p_min"].mean()), origin)
 
@@ -395,34 +350,6 @@ class OperatorPopulation:
         mean, sd = printed.assign(**LEVELS).to_numpy()
         origin = "Tables 2.1-2.3 and Section 2.4.2.4; ranges of performance plausible, not measured"
         return cls(mean, np.diag(sd**2), FOLLOWED, P_R_MIN, origin, "uav_following")
-
-    def plot(self, n: int = 400, seed: int = 0) -> np.ndarray:
-        """
-        Plot operators drawn from the population; of the ground robot beside the participants of
-        Tables 2.1 and 2.3.
-
-        Parameters
-        ----------
-        n : int
-            How many to draw.
-        seed : int
-            Seed of the draws.
-
-        Returns
-        -------
-        numpy.ndarray of matplotlib.axes.Axes, shape (3,)
-        """
-        axes = axes_or_new(columns=len(PANELS), figsize=(8.2, 3.2))
-        layers = {"drawn": (self.draw(n, seed), ".")}
-        if self.testbed == "ground_robot":
-            layers["the five printed"] = (printed_people().loc[PRINTED], "kx")
-        for panel, (x, y) in zip(axes, PANELS, strict=True):
-            for label, (people, marks) in layers.items():
-                shown = people.assign(**SAMPLE_TIME / (1.0 - people[["a_r", "a_pr"]]))
-                panel.plot(shown[x], shown[y], marks, alpha=0.6, label=label)
-            panel.set(xlabel=QUANTITIES[x], ylabel=QUANTITIES[y])
-        axes[0].legend()
-        return axes
 
     def draw(
         self, n: int, seed: int = 0, assumptions: Mapping[str, float] | None = None

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import (
+    Seed,
     between,
     finite_array,
     finite_numbers,
@@ -54,7 +55,7 @@ def simulate_team(
     graph,
     policy: str | LeaderPolicy = "most_trusted",
     goal=(1.0, 2.0, 0.5),
-    seed: int | np.random.SeedSequence = 0,
+    seed: Seed = 0,
     duration: float = 300.0,
     **options: Any,
 ) -> TeamRun:
@@ -73,8 +74,8 @@ def simulate_team(
     Returns
     -------
     TeamRun
-        With `.converged`, `.time_to_goal`, `.table()`, `.positions`, `.plot()`, `.animate(path)`.
-        Labelled synthetic.
+        With `.converged`, `.time_to_goal`, `.table()`, `.positions`, `.plot()`. Labelled
+        synthetic.
 
     Raises
     ------
@@ -176,7 +177,7 @@ class TeamLoop(Loop):
         graph,
         policy: str | LeaderPolicy = "most_trusted",
         goal=(1.0, 2.0, 0.5),
-        seed: int | np.random.SeedSequence = 0,
+        seed: Seed = 0,
         duration: float = 300.0,
         operator: TeamOperator | None = None,
         settings: TeamSettings | None = None,

@@ -2,14 +2,11 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import positive
-from trustlab.models.display import Result, as_html, axes_or_new
-from trustlab.models.files import path_of
+from trustlab.models.display import Result, axes_or_new
 from trustlab.sessions.session import Metadata, Session
 
 ENERGIES = {
@@ -184,9 +181,6 @@ class TeamRun(Result):
             "switches": float(len(self.switches)),
         }
 
-    def _repr_html_(self) -> str:
-        return as_html(self.message, pd.DataFrame([self.measures]), title=self.title)
-
     def plot(self, axes=None):
         """
         Plot distances to the goal, who leads, the force that the operator feels, and the storage
@@ -228,40 +222,3 @@ class TeamRun(Result):
         for axis in (force, energy):
             axis.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
         return np.ravel(axes)
-
-    def animate(self, path: str | Path, rate: float = 5.0) -> Path:
-        """
-        Write an animation to a file: a film in which the team moves.
-
-        Robots and their links, the leader, the goal and the force that the operator feels, seen
-        from above and from the side.
-
-        Parameters
-        ----------
-        path : str or pathlib.Path
-            The file, a ".gif"; its folder must exist.
-        rate : float
-            Simulated seconds per second.
-
-        Returns
-        -------
-        pathlib.Path
-            The file.
-
-        Raises
-        ------
-        ValueError
-            If the file is no .gif, its folder does not exist, or the rate is not positive.
-        """
-        from trustlab.testbeds.team_animation import pictures, samples_shown
-
-        target, rate = path_of("path", path), positive("rate", rate)
-        if target.suffix != ".gif" or not target.parent.is_dir():
-            raise ValueError(
-                f'path must be a file such as "team.gif" in a folder that exists, got "{target}"'
-            )
-        samples = samples_shown(self, rate)
-        first, *others = pictures(self, samples)
-        pause = 1000.0 * float(self.t[samples[-1]] - self.t[0]) / rate / samples.size  # [ms]
-        first.save(target, save_all=True, append_images=others, duration=pause, loop=0)
-        return target

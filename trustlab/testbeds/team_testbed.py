@@ -10,6 +10,7 @@ import pandas as pd
 from trustlab.models.checks import (
     Checked,
     Positive,
+    Seed,
     of_class,
     spawned,
 )
@@ -152,9 +153,7 @@ class RobotTeam(Checked):
         except Exception as error:
             raise ValueError(f"condition {condition!r}: {error}") from error
 
-    def run(
-        self, condition: str, person: Mapping[str, Any], seed: int | np.random.SeedSequence
-    ) -> TeamRun:
+    def run(self, condition: str, person: Mapping[str, Any], seed: Seed) -> TeamRun:
         """
         Run one session.
 

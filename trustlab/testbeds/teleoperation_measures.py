@@ -1,6 +1,6 @@
 """
-What a study takes from teleoperation runs: measures of error, effort, allocation and energy, and
-figures (Figs. 3.13, 3.14, 3.22).
+What a study takes from teleoperation runs: measures of error, effort, allocation and energy, and a
+figure of the energies.
 """
 
 from collections.abc import Iterable
@@ -15,12 +15,7 @@ from trustlab.sessions.session import Session
 # A share this close to 1 is 1 but for rounding: the passivity controller did not act.
 ROUNDING = 1e-9
 
-# What the figures show, panel by panel, each with its label.
-SIGNALS = {
-    "performance": {"p_r": "robot $P_r$", "p_h": "operator $P_h$"},
-    "trust": {"trust_hr": "human-to-robot $T_{hr}$", "trust_rh": "robot-to-human $T_{rh}$"},
-    "scale": {"alpha": "share of the operator $α$", "beta": "force feedback $β$"},
-}
+# What each panel shows, with its label.
 ENERGIES = (
     {
         "energy_operator": "supplied by the operator",
@@ -37,8 +32,6 @@ ENERGIES = (
 )
 # Each energy of a panel is drawn narrower than the one before, which shows on both sides of it.
 WIDTHS = (6.0, 4.5, 3.0, 2.0, 1.0)
-# Legends stand outside of the axes.
-OUTSIDE = {"fontsize": "small", "frameon": False}
 
 
 def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFrame:
@@ -79,19 +72,15 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
     0      M   1.00             -0.0
     1   TMIG   0.34             -0.0
     """
-    runs = _runs(sessions)
+    runs = [sessions] if isinstance(sessions, Session) else list(sessions)
+    if not runs:
+        raise ValueError("sessions is empty: give at least one run of simulate_teleoperation")
+    for number, run in enumerate(runs):
+        of_class(f"sessions[{number}]", run, Session)
     frame = pd.DataFrame([_measures(run) for run in runs])
     if any(run.metadata.synthetic for run in runs):
         frame.attrs["origin"] = "simulated operators"
     return frame
-
-
-def _runs(sessions: Session | Iterable[Session]) -> list[Session]:
-    """Return the runs, at least one."""
-    runs = [sessions] if isinstance(sessions, Session) else list(sessions)
-    if not runs:
-        raise ValueError("sessions is empty: give at least one run of simulate_teleoperation")
-    return [of_class(f"sessions[{number}]", run, Session) for number, run in enumerate(runs)]
 
 
 def _measures(run: Session) -> dict[str, object]:
@@ -117,72 +106,6 @@ def _measures(run: Session) -> dict[str, object]:
         "guarded": (run["port_share"] < 1.0 - ROUNDING).mean(),
         "port_share": run["port_share"].mean(),
     }
-
-
-def plot_trajectory(session: Session, axes=None):
-    """
-    Plot where the UAV should be and where it was, in three dimensions, as Fig. 3.13.
-
-    Parameters
-    ----------
-    session : Session
-        A run of `simulate_teleoperation`.
-    axes : mpl_toolkits.mplot3d.Axes3D, optional
-        Where to plot; a new figure when not given.
-
-    Returns
-    -------
-    mpl_toolkits.mplot3d.Axes3D
-
-    Raises
-    ------
-    ValueError
-        If `session` is not a Session, or lacks a column.
-    """
-    of_class("session", session, Session)
-    target, robot = (
-        [session[f"{name}_{axis}"] for axis in "xyz"] for name in ("reference", "robot")
-    )
-    axes = axes_or_new(axes, figsize=(5.6, 4.6), subplot_kw={"projection": "3d"})
-    axes.plot(*target, ls="--", label="target, at the height wanted")
-    axes.plot(*robot, lw=1.0, label="UAV")
-    height, z = target[2][0], robot[2]
-    axes.set_zlim(min(z.min(), height - 0.5), max(z.max(), height + 0.5))
-    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    axes.set_title(session.label, fontsize="medium")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=2, **OUTSIDE)
-    return axes
-
-
-def plot_signals(session: Session, axes=None):
-    """
-    Plot performance, trust and scales over time, as Fig. 3.14.
-
-    Parameters
-    ----------
-    session : Session
-        A run of `simulate_teleoperation`.
-    axes : sequence of three matplotlib.axes.Axes, optional
-        Where to plot; a new figure when not given.
-
-    Returns
-    -------
-    numpy.ndarray of matplotlib.axes.Axes, shape (3,)
-
-    Raises
-    ------
-    ValueError
-        If `session` is not a Session, or lacks a column.
-    """
-    of_class("session", session, Session).require(*(n for names in SIGNALS.values() for n in names))
-    axes = axes_or_new(axes, len(SIGNALS), title=session.label, sharex=True, figsize=(7.2, 5.6))
-    for panel, (title, labels) in zip(axes, SIGNALS.items(), strict=True):
-        for style, (name, label) in zip(("-", "--"), labels.items(), strict=True):
-            panel.plot(session.t, session[name], style, lw=1.2, label=label)
-        panel.set(ylabel=title, ylim=(-0.05, 1.05))
-        panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **OUTSIDE)
-    axes[-1].set_xlabel("time [s]")
-    return axes
 
 
 def plot_energies(session: Session, axes=None):
@@ -216,36 +139,6 @@ def plot_energies(session: Session, axes=None):
             panel.plot(session.t, energy, lw=width, label=label.format(energy.min()))
         panel.axhline(0.0, color="0.6", lw=0.8, zorder=0)
         panel.set(xlabel="time [s]", ylabel="energy [J]")
-        panel.legend(loc="upper left", bbox_to_anchor=(0.0, -0.18), **OUTSIDE)
-    return axes
-
-
-def plot_alpha(sessions: Iterable[Session], axes=None):
-    """
-    Plot the operator's share α of several runs, one panel each, as Fig. 3.22.
-
-    Parameters
-    ----------
-    sessions : iterable of Session
-        Runs of `simulate_teleoperation`.
-    axes : sequence of matplotlib.axes.Axes, optional
-        Where to plot, one per run; a new figure when not given.
-
-    Returns
-    -------
-    numpy.ndarray of matplotlib.axes.Axes, shape (number of runs,)
-
-    Raises
-    ------
-    ValueError
-        If there is no run, an item is not a Session, or the number of axes differs.
-    """
-    runs = _runs(sessions)
-    size = (7.2, 1.2 + 1.5 * len(runs))
-    axes = np.atleast_1d(axes_or_new(axes, len(runs), sharex=True, figsize=size))
-    for panel, run in zip(axes, runs, strict=True):
-        panel.plot(run.t, run["alpha"], lw=1.0)
-        panel.set(ylabel="operator's\nshare $α$", ylim=(-0.05, 1.05))
-        panel.set_title(run.label, fontsize="medium")
-    axes[-1].set_xlabel("time [s]")
+        # outside of the axes
+        panel.legend(loc="upper left", bbox_to_anchor=(0.0, -0.18), fontsize="small", frameon=False)
     return axes

@@ -9,13 +9,13 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
 import pandas as pd
 
 from trustlab.allocation.rules import prepared_rule
 from trustlab.models.checks import (
     Checked,
     NotNegative,
+    Seed,
     of_class,
     one_of,
     whole_number,
@@ -39,7 +39,6 @@ from trustlab.testbeds.team_testbed import RobotTeam
 from trustlab.testbeds.teleoperation_measures import teleoperation_measures
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
-Seed = int | np.random.SeedSequence
 Person = Mapping[str, Any]
 
 
@@ -296,11 +295,10 @@ class ConditionTestbed(Checked, Testbed):
         run : ConditionRun
             The run.
         """
-        after = {**person, "sessions": person.get("sessions", 0) + 1}
-        if self.rest is not None:
-            last = float(run.log["r"][-1])
-            after["r0"] = last * run.model.human.a ** (self.rest / SAMPLE_TIME)  # (2.5)
-        return after
+        if self.rest is None:
+            return person
+        last = float(run.log["r"][-1])
+        return {**person, "r0": last * run.model.human.a ** (self.rest / SAMPLE_TIME)}  # (2.5)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -419,7 +417,7 @@ class UavTracking(Checked, Testbed):
         return SimpleNamespace(session=session, measures=measures)
 
 
-TESTBEDS: dict[str, Callable[..., Any]] = {
+TESTBEDS: dict[str, Any] = {
     bed.name: bed for bed in (GroundRobot, UavFollowing, UavTracking, RobotTeam)
 }
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import spawned
+from trustlab.models.checks import Seed, spawned
 from trustlab.models.compiled import inner, njit
 from trustlab.models.simulation import Simulation, filled
 from trustlab.operators.ground_robot import Operator
@@ -220,7 +220,7 @@ def flight_of(hand_lag: float) -> np.void:
 def flown(
     task: Task,
     operator: Operator,
-    seed: int | np.random.SeedSequence,
+    seed: Seed,
     decide: Callable | None = None,
 ) -> np.ndarray:
     """Return the log of one test."""

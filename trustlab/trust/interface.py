@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from scipy import special
+import scipy
 
 from trustlab.models.checks import between
 
@@ -70,7 +70,7 @@ class NormalRating(NamedTuple):
         turned = below > 0.0
         first = np.where(turned, -above, below)
         second = np.where(turned, -below, above)
-        return special.ndtr(second) - special.ndtr(first)
+        return scipy.special.ndtr(second) - scipy.special.ndtr(first)
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         """
@@ -112,7 +112,7 @@ class BetaRating(NamedTuple):
             Ends, 0 to 1; beyond the scale they may be infinite.
         """
         low, high = np.clip(low, 0.0, 1.0), np.clip(high, 0.0, 1.0)
-        return special.betainc(self.alpha, self.beta, high) - special.betainc(
+        return scipy.special.betainc(self.alpha, self.beta, high) - scipy.special.betainc(
             self.alpha, self.beta, low
         )
 
@@ -318,7 +318,7 @@ def values_at(model: type[TrustDynamics], coordinates: np.ndarray) -> np.ndarray
     """
     low, high = ranges_of(model)
     x = np.clip(coordinates, -14.0, 14.0)
-    return low + np.where(np.isfinite(high), (high - low) * special.expit(x), np.exp(x))
+    return low + np.where(np.isfinite(high), (high - low) * scipy.special.expit(x), np.exp(x))
 
 
 def with_parameters(model: type[TrustDynamics], coordinates: np.ndarray) -> TrustDynamics:
@@ -337,5 +337,5 @@ def coordinates_of(model: TrustDynamics) -> np.ndarray:
     values = np.array([getattr(model, name) for name in model.parameters()], dtype=float)
     share = np.clip((values - low) / (high - low), MARGIN, 1 - MARGIN)
     return np.where(
-        np.isfinite(high), special.logit(share), np.log(np.maximum(values - low, MARGIN))
+        np.isfinite(high), scipy.special.logit(share), np.log(np.maximum(values - low, MARGIN))
     )

@@ -22,7 +22,7 @@ from trustlab.testbeds.ground_robot.conditions import E_MAX, SLOWEST
 from trustlab.testbeds.ground_robot.course import Course, course_numbers, default_course
 from trustlab.testbeds.ground_robot.kernel import COLUMNS, LOG
 from trustlab.testbeds.ground_robot.pioneer import Pioneer, PioneerNumbers
-from trustlab.testbeds.populations import published_model, published_thresholds
+from trustlab.testbeds.populations import printed_person
 
 DRIVES = {**CONDITIONS, "training": (OWN, False), "identification": (SCHEDULE, False)}
 """
@@ -131,8 +131,8 @@ class DriveSettings:
 
     def as_json(self) -> dict:
         """Return the settings as plain values for `study.json`."""
-        model = self.model or published_model(STAND_IN)
-        pair = self.thresholds or published_thresholds(STAND_IN)
+        _, model, pair = printed_person(STAND_IN)
+        model, pair = self.model or model, self.thresholds or pair
         of_class("model", model, TscModel)
         pair = check_thresholds(model, pair)
         return {

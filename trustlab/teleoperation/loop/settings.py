@@ -13,8 +13,9 @@ import numpy as np
 from trustlab.allocation.blending import OptimalBlending, best_share
 from trustlab.models.checks import Checked, NotNegative, Positive, not_negative, one_of, shown
 from trustlab.models.compiled import njit
+from trustlab.models.display import axes_or_new
 from trustlab.models.simulation import filled
-from trustlab.models.trust import TrustModel
+from trustlab.models.trust import TrustModel, logistic_scale
 from trustlab.models.uav import held_over
 from trustlab.teleoperation.loop.kernel import BY_HAND, GUIDANCE, LOGISTIC, MANUAL, STEPS
 from trustlab.teleoperation.loop.records import SAMPLE, STATE
@@ -98,6 +99,29 @@ class LoopSettings(Checked):
             port_damping=self.scattering.beta_min * self.scattering.b,
             require_passive=self.require_passive,
         )
+
+    def plot_scales(self, axes=None):
+        """
+        Plot the scales α and β over trust, as Figs. 3.2 and 3.3.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; a new figure when not given.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        axes, trust, s = axes_or_new(axes), np.linspace(0.0, 1.0, 401), self.scattering
+        bounds = (("α", s.alpha_min, s.alpha_max, "C0"), ("β", s.beta_min, s.beta_max, "C1"))
+        for symbol, low, high, color in bounds:
+            logistic = logistic_scale.py_func(low, high, self.steepness, 0.5, trust)  # (3.5)
+            axes.plot(trust, logistic, color, label=f"{symbol}, logistic")
+            step = np.where(trust >= 0.5, low, high)  # (3.6)
+            axes.plot(trust, step, f"{color}:", label=f"{symbol}, step")
+        axes.set(xlabel="trust, share of its range", ylabel="scale", title=f"{self.study} study")
+        return axes
 
 
 # Printed settings. The device's mass, the rates of trust and y_max are not printed: the first is

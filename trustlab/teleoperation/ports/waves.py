@@ -141,6 +141,31 @@ class Scattering(Checked):
         b, low, high = self.b, self.alpha_min, self.alpha_max
         return End(b, math.sqrt(2.0 * b / high), math.sqrt(2.0 * low / b), math.sqrt(low / high))
 
+    def dominance(self) -> dict[str, float]:
+        """
+        Return how far the wanted signal outweighs the other one, for force and for velocity.
+
+        Each relation of (3.22) mixes the wanted signal with another one: f'_m = b r_m + √(2b/β_max)
+        v_l should be v_l, and so on, and all four cannot be met at once. In u_r and f'_m the force
+        dominates by √(2α_max/b) and √(2/(bβ_max)): it gains from smaller b and β_max and larger
+        α_max. In r'_s and u_l the velocity dominates by √(2b/α_max) and √(2bβ_max): it gains from
+        larger b, from smaller α_max in the first and larger β_max in the second. Section 3.7.1 says
+        that a smaller β helps velocity; it does not, whichever bar the text has lost.
+
+        Returns
+        -------
+        dict of str to float
+            force_robot (f_s in u_r), force_operator (v_l in f'_m), velocity_robot (v_r in r'_s),
+            velocity_operator (r_m in u_l).
+        """
+        near, far = self.at_operator, self.at_robot
+        return {
+            "force_operator": near.arriving / self.b,
+            "force_robot": far.sent / far.reflected,
+            "velocity_robot": far.arriving,
+            "velocity_operator": near.sent / near.reflected,
+        }
+
 
 def check_scale(name: str, values: ArrayLike, ends: Scattering) -> None:
     """Refuse a scale, "alpha" or "beta", outside its bounds; the sample is named."""

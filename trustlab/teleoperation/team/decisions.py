@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from trustlab.models.checks import Checked, NotNegative, finite_array, one_of
+from trustlab.models.checks import Checked, NotNegative, finite_array, one_of, shown
 
 # Times [s] so near each other are the same.
 SLACK = 1e-9
@@ -154,8 +154,9 @@ class GivenSequence:
             listed = np.iterable(self.robots) and not isinstance(self.robots, str)
             names = tuple(self.robots) if listed else ()
             if not names:
-                found = f"{self.robots!r:.60}"
-                raise ValueError(f"robots must be a list of names, at least one, got {found}")
+                raise ValueError(
+                    f"robots must be a list of names, at least one, got {shown(self.robots)}"
+                )
             object.__setattr__(self, "robots", names)
         if self.times is not None:
             if self.robots is None:

@@ -308,10 +308,8 @@ class TeamOperator(Checked):
         Share of β_h that pushing does not use.
     guarded : bool
         Observe V_h and scale; without it V_h is only logged.
-    slow_down : bool
-        Push less over long delays, κ/(1 + κ_T T) with the rate κ_T = `cautious`, as people do.
     cautious : float
-        κ_T [1/s].
+        κ_T [1/s]: over a delay T people push less, κ/(1 + κ_T T); 0 is a hand that does not.
     grip : float
         Of a live hand, which pulls the device to a place [N/m].
 
@@ -327,7 +325,6 @@ class TeamOperator(Checked):
     budget: Positive = 4.0
     reserve: Annotated[float, (0.0, 0.999)] = 0.5
     guarded: bool = True
-    slow_down: bool = True
     cautious: NotNegative = 2.0
     grip: NotNegative = 100.0
 
@@ -347,4 +344,4 @@ class TeamOperator(Checked):
         delay : float
             How old pictures are [s].
         """
-        return self.push / (1.0 + self.cautious * delay) if self.slow_down else self.push
+        return self.push / (1.0 + self.cautious * delay)

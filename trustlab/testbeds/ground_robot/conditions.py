@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from trustlab.models.checks import of_class, spawned
-from trustlab.models.display import axes_or_new
+from trustlab.models.checks import Seed, of_class, spawned
 from trustlab.models.simulation import Simulation
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Session
@@ -34,7 +33,7 @@ MEASURED = "(2.4), (2.7)"
 def drive_modes(
     mode: np.ndarray,
     operator: Operator,
-    seed: int | np.random.SeedSequence = 0,
+    seed: Seed = 0,
     robot: Pioneer | None = None,
     r0: float = 0.0,
     condition: str = "given modes",
@@ -52,7 +51,7 @@ def drive_modes(
     return Session(deciding.framed(log).drop(columns=["tsc", "suggested_mode"]), metadata)
 
 
-def identification_session(operator: Operator, seed: int | np.random.SeedSequence = 0) -> Session:
+def identification_session(operator: Operator, seed: Seed = 0) -> Session:
     """
     Drive what Section 2.2.2 identifies a model from: manual up to the maximum and autonomous down
     to the minimum, 800 s each, then four mixed phases of 300 to 500 s, manual and autonomous in
@@ -87,7 +86,7 @@ def driven(
     robot: Pioneer,
     course: Course,
     operator: Operator,
-    seed: int | np.random.SeedSequence,
+    seed: Seed,
     inputs: np.ndarray | None = None,
     decide: Callable | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -122,42 +121,3 @@ def driven(
             "course; check their parameters"
         )
     return log[: run.done], lap_times
-
-
-def plot_path(session: Session, course: Course, axes=None):
-    """
-    Plot the desired path, the guide posts, and the robot's track under manual and autonomous
-    control, as Fig. 2.2 does.
-
-    Parameters
-    ----------
-    session : Session
-        With columns robot_x, robot_y and mode.
-    course : Course
-        The course.
-    axes : matplotlib.axes.Axes, optional
-        Where to plot; a new figure when not given.
-
-    Returns
-    -------
-    matplotlib.axes.Axes
-
-    Raises
-    ------
-    SessionError
-        If a column is missing.
-    ValueError
-        If an argument is not understood.
-    """
-    of_class("session", session, Session)
-    of_class("course", course, Course)
-    mode, x, y = (session[name] for name in ("mode", "robot_x", "robot_y"))
-    axes = axes_or_new(axes, figsize=(8.0, 5.6))
-    axes.plot(*course.posts.T, "o", ms=4, mfc="none", color="0.55", label="guide posts")
-    for driver, style, label in ((1, "k-", "manual"), (0, "C0:", "autonomous")):
-        axes.plot(*np.where(mode == driver, [x, y], np.nan), style, lw=1.2, label=label)
-    axes.plot(*course.path[:, :2].T, "--", lw=2.0, color="#d62728", label="desired")
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    axes.set_title(session.label, fontsize="medium")
-    axes.legend(fontsize="small", ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.12))
-    return axes
