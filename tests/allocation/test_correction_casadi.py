@@ -45,7 +45,7 @@ def test_the_solver_itself_comes_to_the_clipped_plan():
     """
     for state in (FAR, NEAR):
         ours, path = engine(), clipped().step(*state).path
-        corrections, reason = ours.program._solved(np.array(state[:4]), state[4], path)
+        corrections, reason = ours.program._solved(state[4], path)
         assert reason == ""
         np.testing.assert_allclose(corrections, path[5:, :-1], atol=0.03 * C_B)
 
