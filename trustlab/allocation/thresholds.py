@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.allocation.invariant import InvariantBounds, invariant_bounds
-from trustlab.allocation.limits import ThresholdLimits, threshold_limits
+from trustlab.allocation.limits import ThresholdLimits, limits_as_printed, threshold_limits
 from trustlab.allocation.steady import (
     HIGH,
     LOW,
@@ -28,8 +27,8 @@ from trustlab.identification.posterior.result import Posterior, tsc_models
 from trustlab.identification.result import FitResult
 from trustlab.models.checks import (
     between,
-    finite_number,
     flag,
+    not_negative,
     of_class,
     one_of,
     open_unit,
@@ -37,7 +36,7 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.display import Result, axes_or_new
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import TscConstants, TscModel
 
 # Draws of a posterior by which pairs are screened, with how much effort (`survey`), and pairs that
 # are then followed sample by sample, with all draws, until one keeps its promise.
@@ -69,7 +68,7 @@ class ThresholdChoice(Result):
         Probability that the rule keeps switching and, where asked, that utilization encloses β,
         from β and from rest: share of all draws of a posterior, each followed sample by sample; 1
         or 0 for exactly this model; NaN for a fit, whose errors it leaves out, and where there is
-        no pair. For every other start there is `.bounds`.
+        no pair. For every other start there is `invariant_bounds`.
     encloses_beta : bool
         Whether the steady utilization encloses β; of a posterior, with the confidence asked for.
     message : str
@@ -109,11 +108,6 @@ class ThresholdChoice(Result):
         """The steady motion of a model under the thresholds: `limit_cycle`."""
         return limit_cycle(self.tsc, self.lower, self.upper)
 
-    @cached_property
-    def bounds(self) -> InvariantBounds:
-        """Bounds for every trajectory of a model under the thresholds: `invariant_bounds`."""
-        return invariant_bounds(self.tsc, self.lower, self.upper)
-
     def table(self) -> pd.DataFrame:
         """
         Return ranges and means of the motion that the thresholds lead to; empty without any.
@@ -147,16 +141,16 @@ class ThresholdChoice(Result):
         numpy.ndarray of matplotlib.axes.Axes, shape (2,)
         """
         axes = axes_or_new(columns=2, sharey=True, figsize=(7.8, 3.8))
-        for axis, name, title, ends in (
-            (axes[0], "p_encloses", "probability of switching around β", (0.0, 1.0)),
-            (axes[1], "mean_p_r", "mean robot performance", (None, None)),
-        ):
-            style = {"s": 14, "marker": "s", "vmin": ends[0], "vmax": ends[1]}
+        titles = {
+            "p_encloses": "probability of switching around β",
+            "mean_p_r": "mean robot performance",
+        }
+        for axis, (name, title) in zip(axes, titles.items(), strict=True):
+            style = {"s": 14, "marker": "s"}
             shown = axis.scatter("lower", "upper", c=name, data=self.candidates, **style)
             axis.figure.colorbar(shown, ax=axis)
             axis.plot(self.lower, self.upper, "*", ms=14, color="C1", mec="k")
             axis.set(xlabel="lower threshold $TSC_l$", title=title)
-            axis.margins(0.08)
         axes[0].set_ylabel("upper threshold $TSC_u$")
         return axes
 
@@ -168,7 +162,7 @@ def choose_thresholds(
     points: int | None = None,
     objective: str | float = "peak",
     confidence: float | None = None,
-    enclose_beta: bool = True,
+    enclose_beta: bool | None = None,
 ) -> ThresholdChoice:
     """
     Choose thresholds by Algorithm 1: utilization encloses β, performance is near its best.
@@ -186,7 +180,7 @@ def choose_thresholds(
         δ_Ph of the limits of Theorem 1 that the search keeps to. 0 takes them as TSC settles;
         whether a pair keeps switching is then seen from its motion.
     margin : float, optional
-        Distance to keep from either limit, as a share of TSC_ub − TSC_lb, in (0, 0.5); 0.1, and
+        Distance to keep from either limit, as a share of TSC_ub − TSC_lb, from 0.001 to 0.49; 0.1, and
         0.03 for a posterior, whose probability says what is safe, when not given.
     points : int, optional
         Grid points along each threshold, 4 to 500; 24, and 14 for a posterior, when not given.
@@ -198,8 +192,9 @@ def choose_thresholds(
     confidence : float, optional
         For a posterior alone: the probability that a pair must have to be offered, in (0, 1); 0.95
         when not given.
-    enclose_beta : bool
-        Whether the steady utilization must enclose β; if not, the rule must keep switching.
+    enclose_beta : bool, optional
+        Whether the steady utilization must enclose β, as it must when not given; if not, the rule
+        must keep switching.
 
     Returns
     -------
@@ -213,7 +208,8 @@ def choose_thresholds(
     Warns
     -----
     UserWarning
-        If nothing is offered, or `success` of a fit is False; with the message.
+        If nothing is offered, utilization does not enclose β, or `success` of a fit is False; with
+        the message.
 
     Notes
     -----
@@ -229,16 +225,14 @@ def choose_thresholds(
     (-0.057, 0.439, 1.0)
     """
     of_posterior = isinstance(tsc, Posterior)
-    share = finite_number("margin", (0.03 if of_posterior else 0.1) if margin is None else margin)
-    if not 0.0 < share < 0.5:
-        raise ValueError(f"margin must lie in (0, 0.5), got {margin}")
-    count = (14 if of_posterior else 24) if points is None else points
-    count = whole_number("points", count, least=4, most=500)
+    share, count = (0.03, 14) if of_posterior else (0.1, 24)
+    share = between("margin", share if margin is None else margin, 0.001, 0.49)
+    count = whole_number("points", count if points is None else points, least=4, most=500)
     if isinstance(objective, str):
         one_of("objective", objective, OBJECTIVES, "a weight in [0, 1]")
     else:
         between("objective", objective, 0.0, 1.0)
-    flag("enclose_beta", enclose_beta)
+    enclose = enclose_beta is None or flag("enclose_beta", enclose_beta)
     if confidence is not None and not of_posterior:
         raise ValueError(
             f"confidence = {confidence} would do nothing: of one model a pair keeps switching or "
@@ -247,17 +241,16 @@ def choose_thresholds(
     asked = 0.95 if confidence is None else open_unit("confidence", confidence)
     source: Any = tsc.model if isinstance(tsc, FitResult) else tsc
     models = source.models if of_posterior else [of_class("tsc", source, TscModel)]
-    limits = _limits_of(models, delta_p_h)
-    if limits.feasible:
+    limits, no_room = _room(models[:SCREENED], not_negative("delta_p_h", delta_p_h))
+    if no_room:
+        nothing = pd.DataFrame(columns=COLUMNS, dtype=float)
+        words = f"No thresholds: {no_room}", no_room
+        choice = ThresholdChoice(np.nan, np.nan, np.nan, False, *words, limits, nothing, source)
+    else:
         margin = share * (limits.upper - limits.lower)
         pairs = grid_of_pairs(limits.lower + margin, limits.upper - margin, count)
-        search = _Search(models, pairs, objective, asked, enclose_beta)
+        search = _Search(models, pairs, objective, asked, enclose)
         choice = search.choice(source, limits, isinstance(tsc, FitResult))
-    else:
-        reason = _no_room(models, limits)
-        nothing = pd.DataFrame(columns=COLUMNS, dtype=float)
-        words = f"No thresholds: {reason}", reason
-        choice = ThresholdChoice(np.nan, np.nan, np.nan, False, *words, limits, nothing, source)
     doubt = ""
     if isinstance(tsc, FitResult) and not tsc.success:
         doubt = (
@@ -266,7 +259,7 @@ def choose_thresholds(
             "with a probability, or says what to record. "
         )
     choice = replace(choice, message=doubt + choice.message)
-    if choice.reason or doubt:
+    if doubt or not (choice.offered and choice.encloses_beta):
         warn(choice.message)
     return choice
 
@@ -360,6 +353,8 @@ class _Search:
                 f"pairs that do they reach the {self.best}. Limits: {limits.message}."
                 + self._beside_theorem_1(lower, upper)
             )
+            if around < self.asked:
+                message += " Utilization does not enclose β."
         probability = np.nan if of_fit else probability
         words = message, reason
         encloses = bool(around >= self.asked)
@@ -402,26 +397,20 @@ def _expected(values: np.ndarray) -> np.ndarray:
     return pd.DataFrame(values).mean().to_numpy()
 
 
-# --- limits ---------------------------------------------------------------------------------------
-
-
-def _limits_of(models: list[TscModel], delta_p_h: float) -> ThresholdLimits:
-    """Return the limits of a model, or the medians of several."""
-    limits = [threshold_limits(tsc, delta_p_h) for tsc in models[:SCREENED]]
-    ends = [(each.lower, each.upper, each.delta_p_h) for each in limits]
-    return ThresholdLimits(*np.median(ends, axis=0).tolist())
-
-
-def _no_room(models: list[TscModel], limits: ThresholdLimits) -> str:
-    """Say that Theorem 1 leaves no room, and what would make some."""
-    some = models[:SCREENED]
-    delta, settled = limits.delta_p_h, _limits_of(models, 0.0)
-    share = np.mean([threshold_limits(tsc, delta).feasible for tsc in some])
+def _room(models: list[TscModel], delta: float) -> tuple[ThresholdLimits, str]:
+    """Return the limits, medians over the models, and why they leave no room, if they do."""
+    c = TscConstants(*np.transpose([tsc.constants() for tsc in models]))
+    ends = np.array(limits_as_printed(c, delta))
+    limits = ThresholdLimits(*np.median(ends, axis=1).tolist(), delta)
+    if limits.feasible:
+        return limits, ""
+    share = (ends[0] < ends[1]).mean()
     known = "no recording of this robot and operator can help"
     if share > 0.05:
         known = f"there is room in {share:.0%} of the draws, so that more data may show some"
-    smaller = f", or take a smaller δ_Ph than {delta:.3g}" if settled.feasible else ""
-    return (
+    settled = np.median(limits_as_printed(c, 0.0), axis=1)
+    smaller = f", or take a smaller δ_Ph than {delta:.3g}" if settled[0] < settled[1] else ""
+    return limits, (
         f"Theorem 1 leaves no room at δ_Ph = {delta:.3g}: TSC_ub = {limits.upper:.4f} does not "
         f"exceed TSC_lb = {limits.lower:.4f} (Remark 4); {known}. Remedy: widen the range of robot "
         f"performance (p_max − p_min){smaller}."
