@@ -401,7 +401,8 @@ def _room(models: list[TscModel], delta: float) -> tuple[ThresholdLimits, str]:
     """Return the limits, medians over the models, and why they leave no room, if they do."""
     c = TscConstants(*np.transpose([tsc.constants() for tsc in models]))
     ends = np.array(limits_as_printed(c, delta))
-    limits = ThresholdLimits(*np.median(ends, axis=1).tolist(), delta)
+    lower, upper = np.median(ends, axis=1).tolist()
+    limits = ThresholdLimits(lower, upper, delta)
     if limits.feasible:
         return limits, ""
     share = (ends[0] < ends[1]).mean()
