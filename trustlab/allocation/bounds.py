@@ -63,12 +63,12 @@ class SteadyStateBounds(SteadyRanges):
         run = simulate_allocation(self.model, self.lower, self.upper, settled + 4000, r0=0.1)
         axes[1].plot(0.1 * np.arange(4000), run["r"].iloc[settled:], label="r under (2.8)")
         axes[1].axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
-        for axis, ends, name in (
+        for axis, bounds, name in (
             (axes[0], (self.p_r_low, self.p_r_high), "robot performance $P_r$"),
             (axes[1], (self.r_low, self.r_high), "utilization r"),
         ):
-            for end in ends:
-                axis.axhline(end, color="0.5", ls="--", lw=0.8)
+            for bound in bounds:
+                axis.axhline(bound, color="0.5", ls="--", lw=0.8)
             axis.set(xlabel="time [s]", ylabel=name)
             axis.legend(fontsize="small")
         return axes

@@ -9,10 +9,12 @@ import pandas as pd
 
 from trustlab.allocation.limits import ThresholdLimits, limits_as_printed, threshold_limits
 from trustlab.allocation.steady import (
+    EXACT,
     HIGH,
     LOW,
     MEAN,
     P_R,
+    SCREEN,
     LimitCycle,
     R,
     encloses_beta,
@@ -20,6 +22,7 @@ from trustlab.allocation.steady import (
     grid_of_pairs,
     limit_cycle,
     points as points_of,
+    stacked,
     survey,
 )
 from trustlab.identification.posterior.density import SHARED, physical
@@ -36,13 +39,15 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.display import Result, axes_or_new
-from trustlab.models.tsc import TscConstants, TscModel
+from trustlab.models.tsc import TscModel
 
-# Draws of a posterior by which pairs are screened, with how much effort (`survey`), and pairs that
-# are then followed sample by sample, with all draws, until one keeps its promise.
-SCREENED = 300
-EFFORT = 3e6
+# Draws of a posterior by which pairs are screened, and pairs that are then followed with all draws
+# until one keeps its promise.
+SCREENED = 150
 FOLLOWED = 6
+
+# How many of the best pairs are looked at under more data.
+NEAREST = 20
 
 # Draws of a posterior over which a table gives medians, and the ends of its intervals.
 DRAWS = 200
@@ -180,8 +185,8 @@ def choose_thresholds(
         δ_Ph of the limits of Theorem 1 that the search keeps to. 0 takes them as TSC settles;
         whether a pair keeps switching is then seen from its motion.
     margin : float, optional
-        Distance to keep from either limit, as a share of TSC_ub − TSC_lb, from 0.001 to 0.49; 0.1, and
-        0.03 for a posterior, whose probability says what is safe, when not given.
+        Distance to keep from either limit, as a share of TSC_ub − TSC_lb, from 0.001 to 0.49; 0.1,
+        and 0.03 for a posterior, whose probability says what is safe, when not given.
     points : int, optional
         Grid points along each threshold, 4 to 500; 24, and 14 for a posterior, when not given.
     objective : {"peak", "mean"} or float
@@ -288,9 +293,9 @@ class _Search:
         self.best = OBJECTIVES.get(str(objective), "greatest weighted performance")
         self.condition = "keeps switching around β" if enclose else "keeps switching"
         some = models[:SCREENED]
-        motions = survey(some, pairs, EFFORT)
-        beta = np.array([tsc.human.beta for tsc in some])[:, None]
-        r_low, r_high, _ = motions[:, :, R].T.swapaxes(1, 2)
+        beta = stacked(some).beta
+        motions = survey(some, pairs, SCREEN if len(some) > 1 else EXACT)
+        r_low, r_high = motions[:, :, R, LOW], motions[:, :, R, HIGH]
         self.apart = _expected(np.maximum(np.maximum(r_low - beta, beta - r_high), 0.0))
         value = peak = _expected(motions[:, :, P_R, HIGH])
         if objective != "peak":
@@ -315,6 +320,7 @@ class _Search:
         first = np.where(able, self.table["objective"], share)
         second = np.where(able, self.table["mean_p_r"], -self.apart)
         order = np.lexsort((-second, -first, ~able))
+        self.nearest = self.pairs[order[:NEAREST]]
         probability = -1.0
         for k in order[: FOLLOWED if able.any() else 1]:
             motions = from_both_starts(self.models, self.pairs[k])
@@ -382,7 +388,7 @@ class _Search:
             nearer = thetas.copy()
             nearer[:, :SHARED] -= (1.0 - times**-0.5) * apart
             models = tsc_models(physical(nearer, 0.1))
-            holds = self.holds(survey(models, self.pairs, EFFORT), models)
+            holds = self.holds(survey(models, self.nearest, SCREEN), models)
             if holds.mean(axis=0).max() >= self.asked:
                 return f"Record about {times} times as much: {minutes * times:.0f} minutes."
         return (
@@ -399,9 +405,9 @@ def _expected(values: np.ndarray) -> np.ndarray:
 
 def _room(models: list[TscModel], delta: float) -> tuple[ThresholdLimits, str]:
     """Return the limits, medians over the models, and why they leave no room, if they do."""
-    c = TscConstants(*np.transpose([tsc.constants() for tsc in models]))
-    ends = np.array(limits_as_printed(c, delta))
-    lower, upper = np.median(ends, axis=1).tolist()
+    c = stacked(models)
+    ends = limits_as_printed(c, delta)
+    lower, upper = (float(np.median(end)) for end in ends)
     limits = ThresholdLimits(lower, upper, delta)
     if limits.feasible:
         return limits, ""
@@ -409,8 +415,8 @@ def _room(models: list[TscModel], delta: float) -> tuple[ThresholdLimits, str]:
     known = "no recording of this robot and operator can help"
     if share > 0.05:
         known = f"there is room in {share:.0%} of the draws, so that more data may show some"
-    settled = np.median(limits_as_printed(c, 0.0), axis=1)
-    smaller = f", or take a smaller δ_Ph than {delta:.3g}" if settled[0] < settled[1] else ""
+    least, most = map(np.median, limits_as_printed(c, 0.0))
+    smaller = f", or take a smaller δ_Ph than {delta:.3g}" if least < most else ""
     return limits, (
         f"Theorem 1 leaves no room at δ_Ph = {delta:.3g}: TSC_ub = {limits.upper:.4f} does not "
         f"exceed TSC_lb = {limits.lower:.4f} (Remark 4); {known}. Remedy: widen the range of robot "
