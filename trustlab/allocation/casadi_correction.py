@@ -4,8 +4,8 @@ The correction (2.40)-(2.44) as one nonlinear program in CasADi, for costs of on
 The hard switch (2.8) makes the problem piecewise smooth. The program smooths it: the mode is a
 state m in [0, 1], the memory of (2.8), with m(k) = (1 − σ((TSC − TSC_u)/w)) (d + (1 − d) m(k − 1)),
 d = σ((TSC_l − TSC)/w), σ(y) = 1/(1 + exp(−y)) and the switch width w. No plan is judged by it: what
-the solver returns is run under the hard switch, as are the clipped plan and holding, and the
-cheapest is the plan. It is a local optimum at best. Where the solver fails or takes too long, the
+the solver returns is run under the hard switch, as is the clipped plan, and the cheaper is the
+plan. It is a local optimum at best. Where the solver fails or takes too long, the
 thresholds are held.
 """
 
@@ -24,8 +24,6 @@ from trustlab.models.tsc import next_performance, next_utilization, tsc_at
 STEEP = 1e-9
 NARROW = 1e-9
 
-COST = itemgetter(0)
-
 # The solver begins at the clipped plan, so that it needs neither a barrier that leads it away from
 # its bounds nor a first guess of multipliers; the pivot order is quicker than MUMPS' own choice.
 IPOPT = {
@@ -42,8 +40,8 @@ IPOPT = {
 
 UNSOLVED = "The thresholds are held, as the solver found no plan: {reason}."
 SOLVED = (
-    "The cheapest, under the hard switch, of the solver's local optimum, the clipped plan and "
-    "holding; not proved optimal."
+    "The cheaper, under the hard switch, of the solver's local optimum and the clipped plan; not "
+    "proved optimal."
 )
 
 
@@ -80,13 +78,11 @@ class CorrectionProgram:
 
         self.corrector = corrector
         self.width = not_negative("switch_width", switch_width)
-        self.limit = positive("limit", limit)
-        robot, (lower, upper), c_b = corrector.tsc.robot, corrector.target, corrector.c_b
-        # States are TSC_u, TSC_l, r, P_r and the mode before; scaled, targets are at 0. Where modes
-        # are given, corrections move the thresholds alone.
+        # States are TSC_u and TSC_l, from their targets in c_b, r, P_r and the mode before. Where
+        # modes are given, corrections move the thresholds alone.
         self.moving = 5 if self.width else 2
-        self.zero = np.array([upper, lower, 0.0, robot.p_min, 0.0])[:, None]
-        self.units = np.array([c_b, c_b, 1.0, robot.p_max - robot.p_min, 1.0])[:, None]
+        self.limit = positive("limit", limit)
+        robot, c_b = corrector.tsc.robot, corrector.c_b
         x, u, k = ca.MX.sym("x", 4), ca.MX.sym("u", 2), ca.MX.sym("k")
         try:
             added = ca.Function("added", [x, u, k], [ca.MX(extra_cost(x, u, k))])
@@ -104,56 +100,46 @@ class CorrectionProgram:
         path = ca.MX.sym("path", 6, n)
         costs = added.map(n)(path[:4, :], path[4:, :], np.arange(n)[None, :])
         self._added = ca.Function("added", [path], [ca.sum2(costs)])
-        self._solver = self._program(self._stage(box, added).map(n), n)
+        self._solver = self._program(box.map(n))
 
-    def _stage(self, box: Any, added: Any) -> Any:
+    def _program(self, box: Any) -> Any:
         """
-        Return one step of (2.44) as a function.
-
-        From scaled states, scaled thresholds after, a given mode and the step to the corrections as
-        shares of their boxes, the other states after, and the cost of the step over c_b².
+        Return the solver of all steps, the states after them being unknowns; rows are one quantity
+        over the horizon.
         """
         import casadi as ca
 
-        tsc, c_b = self.corrector.tsc, self.corrector.c_b
-        robot, human = tsc.robot, tsc.human
-        z, moved = ca.MX.sym("z", 5), ca.MX.sym("moved", 2)
-        given, k = ca.MX.sym("given"), ca.MX.sym("k")
-        upper, lower, r, p_r, before = ca.vertsplit(self.zero + self.units * z)
-        x, u = ca.vertcat(r, p_r, upper, lower), c_b * (moved - z[:2])
+        tsc, (goal_l, goal_u), c_b = self.corrector.tsc, self.corrector.target, self.corrector.c_b
+        robot, human, n = tsc.robot, tsc.human, self.corrector.horizon
+        path, scale = ca.MX.sym("path", 5, n + 1), ca.MX.sym("scale")
+        moving = ca.MX.sym("moving", self.moving, n)
+        states = ca.vertcat(moving, path[self.moving :, 1:])
+        z_u, z_l, r, p_r, before = ca.vertsplit(ca.horzcat(path[:, :1], states[:, :-1]))
+        upper, lower = goal_u + c_b * z_u, goal_l + c_b * z_l
+        x = ca.vertcat(r, p_r, upper, lower)
+        u = c_b * (states[:2, :] - ca.vertcat(z_u, z_l))
         least, most = box(x)
-        shares = (u - least) / ca.fmax(most - least, NARROW * c_b)
+        width = ca.fmax(most - least, NARROW * c_b)
+        shares = (u - ca.vertcat(least, least)) / ca.vertcat(width, width)
         inside = ca.fmin(ca.fmax(r, STEEP), 1.0 - STEEP)
         shape = human.beta * ca.log(inside / human.beta)
         shape += (1.0 - human.beta) * ca.log((1.0 - inside) / (1.0 - human.beta))
         p_h = human.p_min + (human.p_max - human.p_min) * ca.exp(shape)  # (2.6)
         value = tsc_at.py_func(p_r, p_h, tsc.constants())  # (2.1)
-        mode = given
+        mode = path[4, 1:]
         if self.width:  # (2.8), smoothed
             up = 0.5 * (1.0 + ca.tanh(0.5 * (value - upper) / self.width))
             down = 0.5 * (1.0 + ca.tanh(0.5 * (lower - value) / self.width))
             mode = (1.0 - up) * (down + (1.0 - down) * before)
         after_r = next_utilization.py_func(r, mode, human.a)
         after_p = next_performance.py_func(p_r, p_h, mode, robot.a, robot.b, robot.p_min)
-        after = ca.vertcat(after_r, (after_p - robot.p_min) / self.units[3], mode)
-        cost = added(x, u, k) / c_b**2 + ca.sumsqr(moved)
-        return ca.Function("stage", [z, moved, given, k], [shares, after, cost])
-
-    def _program(self, stages: Any, n: int) -> Any:
-        """Return the solver of all steps, the states after them being unknowns."""
-        import casadi as ca
-
-        moving = ca.MX.sym("moving", self.moving, n)
-        path, scale = ca.MX.sym("path", 5, n + 1), ca.MX.sym("scale")
-        states = ca.vertcat(moving, path[self.moving :, 1:])
-        before = ca.horzcat(path[:, :1], states[:, :-1])
-        shares, after, costs = stages(before, moving[:2, :], path[4, 1:], np.arange(n)[None, :])
-        missed = (states[2:, :] - after)[: self.moving - 2, :]
+        missed = states[2:, :] - ca.vertcat(after_r, after_p, mode)
+        cost = self._added(ca.vertcat(x, u)) / c_b**2 + ca.sumsqr(states[:2, :])
         program = {
             "x": ca.vec(moving),
             "p": ca.veccat(path, scale),
-            "f": scale * ca.sum2(costs),
-            "g": ca.vec(ca.vertcat(shares, missed)),
+            "f": scale * cost,
+            "g": ca.vec(ca.vertcat(shares, missed)[: self.moving, :]),
         }
         ipopt = IPOPT | {"max_wall_time": self.limit}
         options = {"print_time": False, "error_on_fail": False, "expand": True, "ipopt": ipopt}
@@ -172,17 +158,14 @@ class CorrectionProgram:
             Mode before now.
         """
         began = perf_counter()
-        size = 2, self.corrector.horizon
-        simple = [self._judged(state, mode, np.full(size, each)) for each in (np.nan, 0.0)]
-        best = min(simple, key=COST)
-        path = best[1]
-        corrections, reason = self._solved(mode, path)
+        clipped = self._judged(state, mode, np.full((2, self.corrector.horizon), np.nan))
+        corrections, reason = self._solved(mode, clipped[1])
         if perf_counter() - began > self.limit:
             reason = f"it takes longer than limit = {self.limit:g} s"
-        best = min(best, self._judged(state, mode, corrections), key=COST)
-        if not np.isfinite(best[0]):
+        cost, path = min(clipped, self._judged(state, mode, corrections), key=itemgetter(0))
+        if not np.isfinite(cost):
             reason = "no plan has a finite cost"
-        return (np.nan, path, UNSOLVED.format(reason=reason)) if reason else (*best, SOLVED)
+        return (np.nan, path, UNSOLVED.format(reason=reason)) if reason else (cost, path, SOLVED)
 
     def _judged(
         self, state: np.ndarray, mode: int, corrections: np.ndarray
@@ -194,8 +177,9 @@ class CorrectionProgram:
 
     def _solved(self, mode: int, guess: np.ndarray) -> tuple[np.ndarray, str]:
         """Return c_l and c_u to which the solver comes from a path, and why not to use them."""
-        states = np.vstack([guess[[U, L, R, P_R]], np.r_[mode, guess[MODE, :-1]]])
-        z = (states - self.zero) / self.units
+        c_b, target = self.corrector.c_b, np.array(self.corrector.target)
+        thresholds = (guess[[U, L]] - target[::-1, None]) / c_b
+        z = np.vstack([thresholds, guess[[R, P_R]], np.r_[mode, guess[MODE, :-1]]])
         now, start = z[:2, :1], z[: self.moving, 1:]
         # Both thresholds stay between their values now and their targets, which are 0.
         least, most, share = np.full_like(start, -np.inf), np.full_like(start, np.inf), 0.0 * start
@@ -212,6 +196,6 @@ class CorrectionProgram:
         except RuntimeError as error:
             return guess[[C_L, C_U], :-1], str(error).strip().splitlines()[-1][-200:]
         reached = np.asarray(solution["x"]).reshape(-1, self.moving).T[:2]
-        steps = np.diff(np.c_[now, reached], axis=1)[::-1] * self.corrector.c_b
+        steps = np.diff(np.c_[now, reached], axis=1)[::-1] * c_b
         stats = self._solver.stats()
         return steps, "" if stats["success"] else str(stats["return_status"])
