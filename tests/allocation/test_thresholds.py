@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
+from tests.allocation.cases import drawn_model
 from trustlab.allocation import (
     ThresholdEstimate,
     choose_thresholds,
@@ -81,6 +82,28 @@ def test_no_pair_that_encloses_beta_is_said(operators):
     with pytest.warns(UserWarning, match=r"keeps switching for exactly.* does not enclose β"):
         switching = choose_thresholds(operators["1"], points=8, enclose_beta=False)
     assert (switching.offered, switching.probability, switching.encloses_beta) == (True, 1.0, False)
+
+
+def test_a_pair_that_does_not_enclose_beta_is_never_offered_in_silence():
+    """
+    For β = .57 a pair was returned whose r stays at .831 to .834, without a word. Oracle: a run of
+    each of 30 people.
+    """
+    rng = np.random.default_rng(57)
+    quiet = 0
+    for beta in np.r_[0.57, rng.uniform(0.2, 0.95, 29)]:
+        model = drawn_model(rng, (-3.0, -2.0), (-2.5, -1.5), (beta, beta))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            choice = choose_thresholds(model, points=8)
+        if np.isnan(choice.lower):
+            assert caught
+            continue
+        run = tl.simulate_allocation(model, choice.lower, choice.upper, 60_000).iloc[30_000:]
+        around = run["r"].min() <= beta <= run["r"].max()
+        assert (choice.offered, choice.encloses_beta, not caught) == (around, around, around)
+        quiet += around
+    assert 5 < quiet < 30
 
 
 def test_a_pair_does_what_is_said_from_rest_as_well():

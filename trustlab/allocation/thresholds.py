@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from trustlab.allocation.invariant import InvariantBounds, invariant_bounds
 from trustlab.allocation.limits import ThresholdLimits, limits_as_printed, threshold_limits
 from trustlab.allocation.steady import (
     EXACT,
@@ -74,7 +75,7 @@ class ThresholdChoice(Result):
         Probability that the rule keeps switching and, where asked, that utilization encloses β,
         from β and from rest: share of all draws of a posterior, each followed sample by sample; 1
         or 0 for exactly this model; NaN for a fit, whose errors it leaves out, and where there is
-        no pair. For every other start there is `invariant_bounds`.
+        no pair. For every other start there is `.bounds`.
     encloses_beta : bool
         Whether the steady utilization encloses β; of a posterior, with the confidence asked for.
     message : str
@@ -114,6 +115,11 @@ class ThresholdChoice(Result):
     def cycle(self) -> LimitCycle:
         """The steady motion of a model under the thresholds: `limit_cycle`."""
         return limit_cycle(self.tsc, self.lower, self.upper)
+
+    @cached_property
+    def bounds(self) -> InvariantBounds:
+        """Bounds for every trajectory of a model under the thresholds: `invariant_bounds`."""
+        return invariant_bounds(self.tsc, self.lower, self.upper)
 
     def table(self) -> pd.DataFrame:
         """
@@ -248,7 +254,7 @@ def choose_thresholds(
     asked = 0.95 if confidence is None else open_unit("confidence", confidence)
     source: Any = tsc.model if isinstance(tsc, FitResult) else tsc
     models = source.models if of_posterior else [of_class("tsc", source, TscModel)]
-    limits, reason = _room(models[:SCREENED], not_negative("delta_p_h", delta_p_h))
+    limits, reason = _room(models, not_negative("delta_p_h", delta_p_h))
     lower = upper = probability = np.nan
     message, around, table = "", 0.0, pd.DataFrame()
     if not reason:
