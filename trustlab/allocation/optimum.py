@@ -211,26 +211,22 @@ def certificate(tsc: TscModel, weight: float, limit: float) -> tuple[float, floa
     ends = np.geomspace(1e-9, 1e-3, 200)
     r = np.unique(np.r_[0.0, ends, np.linspace(0.0, 1.0, GRID), 1.0 - ends, 1.0])
     p_h = human.performance(r)
-    area = integral_of_performance(tsc, r)
-    kappa = of_robot / (1.0 - human.a)
+    kappa = of_robot / human.b
+    mode = np.array([[0.0], [1.0]])
+    after = human.a * r + human.b * mode
+    scale = of_robot * mode + of_human
+    change = integral_of_performance(tsc, after) - integral_of_performance(tsc, r)
+    gain = scale * p_h - of_human * human.p_min - kappa * change
     with np.errstate(divide="ignore", invalid="ignore"):
         # (2.6) is concave: within a cell its slope lies between those at the ends.
         steep = (p_h - human.p_min) * (human.beta - r) / (r * (1.0 - r))
-    steep[[0, -1]] = np.inf, -np.inf
-    gains = []
-    slopes = []  # of the gain in every cell: least, greatest
-    for mode in (0.0, 1.0):
-        after = human.a * r + (1.0 - human.a) * mode
-        change = integral_of_performance(tsc, after) - area
-        scale = of_robot * mode + of_human
-        gains.append(scale * p_h - of_human * human.p_min - kappa * change)
-        least, most = _over_cells(human, r)
-        next_least, next_most = _over_cells(human, after)
-        with np.errstate(invalid="ignore"):  # 0 · ∞ where performance counts for nothing
-            ends_of = np.nan_to_num(scale * np.array([steep[1:], steep[:-1]]), nan=0.0)
-        low = ends_of[0] + kappa * (least - human.a * next_most)
-        slopes.append((low, ends_of[1] + kappa * (most - human.a * next_least)))
-    best = np.maximum(*gains)
+        steep[[0, -1]] = np.inf, -np.inf
+        steep = np.nan_to_num(scale * steep, nan=0.0)  # 0 · ∞ where performance counts for nothing
+    least, most = _over_cells(human, r)
+    next_least, next_most = _over_cells(human, after)
+    low = steep[:, 1:] + kappa * (least - human.a * next_most)
+    high = steep[:, :-1] + kappa * (most - human.a * next_least)
+    best = gain.max(axis=0)
 
     def on_grid(price: float) -> float:
         return float((best - price * (r - limit)).max())
@@ -238,21 +234,19 @@ def certificate(tsc: TscModel, weight: float, limit: float) -> tuple[float, floa
     price = 0.0
     if r[int(np.argmax(best))] > limit:
         price = float(optimize.minimize_scalar(on_grid, bounds=(0.0, 1e4), method="bounded").x)
-    bound = -np.inf
-    for gain, (low, high) in zip(gains, slopes, strict=True):
-        net = gain - price * (r - limit)
-        rise = net[:-1] + np.diff(r) * np.maximum(high - price, 0.0)
-        fall = net[1:] - np.diff(r) * np.minimum(low - price, 0.0)
-        bound = max(bound, float(np.minimum(rise, fall).max()))
+    net = gain - price * (r - limit)
+    rise = net[:, :-1] + np.diff(r) * np.maximum(high - price, 0.0)
+    fall = net[:, 1:] - np.diff(r) * np.minimum(low - price, 0.0)
+    bound = float(np.minimum(rise, fall).max())
     return bound, float(r[int(np.argmax(best - price * (r - limit)))])
 
 
 def _over_cells(human: HumanModel, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the least and the greatest P_h between neighbours of r."""
-    p_h = human.performance(r)
-    most = np.maximum(p_h[1:], p_h[:-1])
-    inside = (r[:-1] < human.beta) & (human.beta < r[1:])
-    return np.minimum(p_h[1:], p_h[:-1]), np.where(inside, human.p_max, most)
+    p_h, left, right = human.performance(r), r[..., :-1], r[..., 1:]
+    ends = p_h[..., :-1], p_h[..., 1:]
+    inside = (left < human.beta) & (human.beta < right)
+    return np.minimum(*ends), np.where(inside, human.p_max, np.maximum(*ends))
 
 
 # --- patterns -------------------------------------------------------------------------------------
