@@ -58,6 +58,9 @@ ENDS = {"": 0.5, "_ci_low": 0.025, "_ci_high": 0.975}
 # How many times as much data are considered where no pair is probable enough.
 LONGER = (2, 4, 8, 16)
 
+COLUMNS = ["lower", "upper", "p_switches", "p_encloses", "mean_r", "p_r_high", "mean_p_r"]
+COLUMNS += ["objective", "off_beta"]
+
 OBJECTIVES = {"peak": "highest robot performance", "mean": "greatest mean robot performance"}
 
 
@@ -256,7 +259,7 @@ def choose_thresholds(
     models = source.models if of_posterior else [of_class("tsc", source, TscModel)]
     limits, reason = _room(models, not_negative("delta_p_h", delta_p_h))
     lower = upper = probability = np.nan
-    message, around, table = "", 0.0, pd.DataFrame()
+    message, around, table = "", 0.0, pd.DataFrame(columns=COLUMNS, dtype=float)
     if not reason:
         off = share * (limits.upper - limits.lower)
         pairs = grid_of_pairs(limits.lower + off, limits.upper - off, count)
