@@ -107,6 +107,10 @@ def alone(name: str, states: list[tuple]) -> Iterator[Row]:
         yield tail(work, stepped(plan, states), limit)
 
 
+# How much longer peers are to take than our program.
+GOALS = {"CasADi Opti with IPOPT": 3.4, "do-mpc with IPOPT": 8.5}
+
+
 def compared(name: str, states: list[tuple], peer: str, result: Callable, side: Callable) -> Row:
     """
     Return our CasADi engine beside a peer, each at one state after the other; the peer's plan is
@@ -123,7 +127,7 @@ def compared(name: str, states: list[tuple], peer: str, result: Callable, side: 
         same(peer, 1.0, 1.0 + np.abs(apart), 1e-2)
         ours()
     work = f"Correction, N = {HORIZON}, {name}, engine casadi"
-    return beside(work, ours, peer, side, least=3.0, turns=60)
+    return beside(work, ours, peer, side, least=GOALS[peer], turns=60)
 
 
 def growth(states: list[tuple]) -> Row:

@@ -53,30 +53,25 @@ def leaves(bounds, model, lower, upper, rng):
     return found
 
 
-PARTS = [(0, 2_000)]
-REST = [
-    pytest.param(first, first + 3_000, marks=pytest.mark.long)
-    for first in range(2_000, 20_000, 3_000)
-]
+STARTS = 10
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("first", "last"), PARTS + REST)
+@pytest.mark.parametrize(
+    ("first", "last"), [(0, 300), pytest.param(300, 2_000, marks=pytest.mark.long)]
+)
 def test_no_trajectory_leaves_them(random_model, first, last):
-    """
-    20,000 random feasible sets, the first 2,000 of them in every `make test`; one random start
-    each.
-    """
+    """2,000 random feasible sets with ten random starts each; 300 of them in every `make test`."""
     checked = 0
-    for child in np.random.SeedSequence(31).spawn(20_000)[first:last]:
+    for child in np.random.SeedSequence(31).spawn(2_000)[first:last]:
         rng = np.random.default_rng(child)
         model, lower, upper = random_model(rng)
         bounds = invariant_bounds(model, lower, upper, cells=8, cycles=6)
-        if bounds.guaranteed:
+        for _ in range(STARTS if bounds.guaranteed else 0):
             found = leaves(bounds, model, lower, upper, rng)
             assert not found, (found, model, lower, upper)
             checked += found is not None
-    assert checked > 0.98 * (last - first)
+    assert checked > 0.98 * STARTS * (last - first)
 
 
 def test_they_enclose_the_cycle_and_tighten_with_more_cells(random_model):

@@ -5,6 +5,7 @@ Oracles: `limit_cycle` of single draws; the people that the logs were made of.
 """
 
 import importlib.util
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
+from tests.allocation.cases import shape
 
 LOGS = Path(__file__).parents[1] / "identification" / "posterior" / "simulated_logs.py"
 
@@ -146,3 +148,39 @@ def test_objectives_of_a_model(operators):
     robot, table = operators["2"].robot, choices[1.0].candidates
     points = tl.relative_performance(table["mean_p_r"][:1], robot.p_min, robot.p_max)
     assert table["objective"][0] == pytest.approx(points)
+
+
+def switches_around_beta(tsc, lower, upper, size=40_000):
+    """Whether a person does so from r = .6: (2.1)-(2.8) written out, without the package."""
+    robot, human = tsc.robot, tsc.human
+    scale = robot.p_max * human.p_max - robot.p_min * human.p_min
+    a_T, b_T = (human.p_max + human.p_min) / scale, (robot.p_max + robot.p_min) / scale
+    r, p_r, mode, loads, modes = 0.6, robot.p_min, 1, [], []
+    for _ in range(size):
+        p_h = human.p_min + (human.p_max - human.p_min) * (shape(r, human.beta) if r < 1 else 0)
+        tsc_now = a_T * p_r - b_T * p_h
+        mode = 0 if tsc_now >= upper else 1 if tsc_now <= lower else mode
+        loads.append(r)
+        modes.append(mode)
+        p_r = robot.a * p_r + (1 - robot.a) * robot.p_min + mode * robot.b * p_h
+        r = human.a * r + (1 - human.a) * mode
+    late = loads[size // 2 :]
+    return len(set(modes[size // 2 :])) == 2 and min(late) <= human.beta <= max(late)
+
+
+@pytest.mark.long
+def test_200_people_keep_switching_as_often_as_is_stated(logs):
+    """People drawn from the prior, each known by ten minutes, whether or not a pair is offered."""
+    stated, kept = [], []
+    for number in range(200):
+        session, theta = logs.drawn_case(np.random.default_rng([45, number]), "white")
+        posterior = tl.sample_posterior(session, n=120)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            choice = tl.choose_thresholds(posterior, points=8)
+        if not np.isnan(choice.probability):
+            stated.append(choice.probability)
+            person = logs.model_of(theta)[0]
+            kept.append(switches_around_beta(person, choice.lower, choice.upper))
+    assert len(kept) > 100
+    assert np.mean(kept) >= np.mean(stated) - 0.03

@@ -12,13 +12,14 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
+from tests.allocation.cases import drawn_model
 from trustlab.allocation import (
+    ThresholdEstimate,
     choose_thresholds,
     estimate_thresholds,
     followed_suggestions,
     relative_performance,
 )
-from trustlab.allocation.estimates import _apart
 from trustlab.reproduction import published_table
 
 
@@ -32,7 +33,6 @@ def test_choice_encloses_beta_and_comes_near_the_best_performance(operators, cho
     assert choice.encloses_beta
     assert cycle.r_low <= model.human.beta <= cycle.r_high
     assert choice.limits.contains(choice.lower, choice.upper)
-    assert choice.bounds.guaranteed
     assert choice.probability == 1.0
     inside = choice.candidates[choice.candidates["p_encloses"] == 1.0]
     assert cycle.p_r_high == pytest.approx(inside["p_r_high"].max(), abs=1e-4)
@@ -79,7 +79,31 @@ def test_no_pair_that_encloses_beta_is_said(operators):
     assert not choice.offered
     cycle = choice.cycle
     assert f"stays within {cycle.r_low:.3f} to {cycle.r_high:.3f}" in choice.reason
-    assert choose_thresholds(operators["1"], points=8, enclose_beta=False).probability == 1.0
+    with pytest.warns(UserWarning, match=r"keeps switching for exactly.* does not enclose β"):
+        switching = choose_thresholds(operators["1"], points=8, enclose_beta=False)
+    assert (switching.offered, switching.probability, switching.encloses_beta) == (True, 1.0, False)
+
+
+def test_a_pair_that_does_not_enclose_beta_is_never_offered_in_silence():
+    """
+    For β = .57 a pair was returned whose r stays at .831 to .834, without a word. Oracle: a run of
+    each of 30 people.
+    """
+    rng = np.random.default_rng(57)
+    quiet = 0
+    for beta in np.r_[0.57, rng.uniform(0.2, 0.95, 29)]:
+        model = drawn_model(rng, (-3.0, -2.0), (-2.5, -1.5), (beta, beta))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            choice = choose_thresholds(model, points=8)
+        if np.isnan(choice.lower):
+            assert caught
+            continue
+        run = tl.simulate_allocation(model, choice.lower, choice.upper, 60_000).iloc[30_000:]
+        around = run["r"].min() <= beta <= run["r"].max()
+        assert (choice.offered, choice.encloses_beta, not caught) == (around, around, around)
+        quiet += around
+    assert 5 < quiet < 30
 
 
 def test_a_pair_does_what_is_said_from_rest_as_well():
@@ -163,47 +187,24 @@ def test_choices_say_which_limits_they_keep(operators):
             f"Theorem 1 does not cover the pair at the model's own δ_Ph: {own.message}"
             in choice.message
         )
-        within = choose_thresholds(model, delta_p_h=own.delta_p_h, points=6, enclose_beta=False)
+        with warnings.catch_warnings():  # utilization need not enclose β
+            warnings.simplefilter("ignore", UserWarning)
+            within = choose_thresholds(model, delta_p_h=own.delta_p_h, points=6, enclose_beta=False)
         assert own.contains(within.lower, within.upper)
         assert "does not cover" not in within.message
 
 
-def exactly(mean, sd, n):
-    """A sample of this size with exactly this mean and SD."""
-    values = np.sin(np.arange(1.0, n + 1.0))
-    return mean + sd * (values - values.mean()) / values.std(ddof=1)
-
-
-@pytest.mark.parametrize("n", [4, 8, 16, 100])
-def test_samples_like_those_of_table_2_3_are_told_apart_or_not(n):
-    """Mean ± SD overlap for participant 3 alone, 0.414/0.42: not told apart by any n switches."""
-    printed, rng = published_table("2.3").astype(float), np.random.default_rng(0)
-    p = {}
+def test_participant_3_of_table_2_3_is_not_told_apart():
+    """Mean ± SD overlap for participant 3 alone, 0.414/0.42."""
+    printed = published_table("2.3").astype(float)
     for name in printed.columns:
-        groups = {
-            key: exactly(printed.loc[(side, "mean"), name], printed.loc[(side, "sd"), name], n)
-            for key, side in (("lower", "TSC_l"), ("upper", "TSC_u"))
+        rows = {
+            side: {"mean": printed.loc[(key, "mean"), name], "sd": printed.loc[(key, "sd"), name]}
+            for side, key in (("lower", "TSC_l"), ("upper", "TSC_u"))
         }
-        separation, p[name] = _apart(groups, rng)
-        assert (separation < 1.0) == (name == "3")
-        assert name != "3" or separation == pytest.approx(0.414 / 0.42)
-    assert max(p["1"], p["2"]) < 0.01
-    assert p["3"] > 0.4
-    assert p["5"] < (0.05 if n > 16 else 1.0)
-    assert p["4"] < (0.01 if n >= 8 else 1.0)
-
-
-@pytest.mark.parametrize("sizes", [(3, 3), (4, 12), (20, 20)])
-def test_the_test_keeps_its_level_with_few_switches(sizes):
-    """Normal switches whose mean ± SD just touch: rejected in at most 5 % of samples."""
-    rng, rejected = np.random.default_rng(1), 0
-    for _ in range(1500):
-        groups = {
-            "lower": rng.normal(0.0, 0.1, sizes[0]),
-            "upper": rng.normal(0.3, 0.2, sizes[1]),
-        }
-        rejected += _apart(groups, rng)[1] < 0.05
-    assert 0.01 < rejected / 1500 < 0.065
+        estimate = ThresholdEstimate(pd.DataFrame(), pd.DataFrame(rows).T)
+        assert estimate.distinguishable == (name != "3")
+        assert name != "3" or estimate.separation == pytest.approx(0.414 / 0.42)
 
 
 def test_tsc_is_worked_out_from_performance(operators):
@@ -212,7 +213,7 @@ def test_tsc_is_worked_out_from_performance(operators):
     estimate = estimate_thresholds(tl.Session(run[["mode", "p_r", "p_h"]]), model=model)
     assert estimate.lower == pytest.approx(0.02, abs=0.01)
     assert estimate.upper == pytest.approx(0.45, abs=0.01)
-    with pytest.raises(tl.SessionError, match="give model="):
+    with pytest.raises(tl.SessionError, match="no column 'tsc'"):
         estimate_thresholds(tl.Session(run[["mode", "p_r", "p_h"]]))
     with pytest.raises(tl.SessionError, match="never changes"):
         estimate_thresholds(tl.Session(run[["mode", "tsc"]].iloc[:50]))

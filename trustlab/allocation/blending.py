@@ -23,53 +23,46 @@ APPENDIX_A = (
 @njit
 def best_share(weights, states, low, high, series, slope):
     """
-    Return the α in [low, high] of least cost and that cost.
+    Return the α in [low, high] of least cost.
 
     weights, shape (3, DEGREE + 1, 5, 5): the cost's matrices as Chebyshev series in α over [0, 1],
     per axis. states, shape (3, 5): command of the operator and of the controller, error, its first
     and second derivative, per axis. series, slope, shapes (DEGREE + 1,) and (DEGREE + 2,): room for
-    the cost as a series and its derivative, as nothing can be allocated in a browser.
+    the cost as a series and its derivative, as the loops allocate nothing.
     """
     terms = weights.shape[1]
     series[:] = 0.0
     slope[:] = 0.0
     for axis in range(3):
         for i in range(5):
-            for j in range(i + 1):  # the matrices are symmetric
-                pair = states[axis, i] * states[axis, j] * (1.0 if i == j else 2.0)
+            for j in range(5):
+                pair = states[axis, i] * states[axis, j]
                 if pair != 0.0:
                     for m in range(terms):
                         series[m] += pair * weights[axis, m, i, j]
-    # derivative in x = 2α − 1, and its value at many points: every change of sign is followed to
-    # its root
+    # Derivative in x = 2α − 1.
     for m in range(terms - 1, 0, -1):
         slope[m - 1] = slope[m + 1] + 2.0 * m * series[m]
     slope[0] *= 0.5
-    best = low
-    least = _chebyshev(series, 2.0 * low - 1.0)
-    cost = _chebyshev(series, 2.0 * high - 1.0)
-    if cost < least:
-        best, least = high, cost
-    count = 4 * terms
-    left = low
-    at_left = _chebyshev(slope, 2.0 * left - 1.0)
-    for k in range(1, count + 1):
-        right = low + (high - low) * k / count
-        at_right = _chebyshev(slope, 2.0 * right - 1.0)
-        if at_left < 0.0 <= at_right:
-            a, b = left, right
-            for _ in range(60):
-                middle = 0.5 * (a + b)
-                if _chebyshev(slope, 2.0 * middle - 1.0) < 0.0:
-                    a = middle
-                else:
-                    b = middle
-            cost = _chebyshev(series, a + b - 1.0)
-            if cost < least:
-                best = 0.5 * (a + b)
-                least = cost
-        left, at_left = right, at_right
-    return best, least
+    # The best of a grid that is finer than the polynomial can turn; then the root beside it.
+    spacing = (high - low) / (4 * terms)
+    best, least = low, np.inf
+    for k in range(4 * terms + 1):
+        cost = _chebyshev(series, 2.0 * (low + k * spacing) - 1.0)
+        if cost < least:
+            best, least = low + k * spacing, cost
+    a, b = max(best - spacing, low), min(best + spacing, high)
+    if _chebyshev(slope, 2.0 * a - 1.0) >= 0.0:
+        return a
+    if _chebyshev(slope, 2.0 * b - 1.0) <= 0.0:
+        return b
+    for _ in range(60):
+        middle = 0.5 * (a + b)
+        if _chebyshev(slope, 2.0 * middle - 1.0) < 0.0:
+            a = middle
+        else:
+            b = middle
+    return 0.5 * (a + b)
 
 
 @njit
@@ -198,4 +191,4 @@ class OptimalBlending:
         columns = [finite_array(name, value, length=3) for name, value in signals.items()]
         room = np.empty(DEGREE + 1), np.empty(DEGREE + 2)
         states = np.column_stack(columns)
-        return best_share(self.weights, states, self.alpha_min, self.alpha_max, *room)[0]
+        return best_share(self.weights, states, self.alpha_min, self.alpha_max, *room)

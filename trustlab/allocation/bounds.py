@@ -1,6 +1,5 @@
 """Steady-state bounds exactly as printed, (2.14)-(2.21) and (2.33)."""
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,6 +9,7 @@ from trustlab.allocation.limits import check_thresholds, step_bounds
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.allocation.steady import SteadyRanges, ends, limit_cycle, longest_phase
 from trustlab.models.checks import between
+from trustlab.models.display import axes_or_new
 from trustlab.models.tsc import TscConstants, TscModel
 
 
@@ -44,47 +44,33 @@ class SteadyStateBounds(SteadyRanges):
 
         Returns
         -------
-        numpy.ndarray of matplotlib.axes.Axes, shape (3,)
+        numpy.ndarray of matplotlib.axes.Axes, shape (2,)
         """
-        import matplotlib.pyplot as plt
-
-        figure = plt.figure(figsize=(7.4, 5.6), layout="constrained")
-        axes = np.array([*figure.subplot_mosaic([[0, 1], [2, 2]]).values()])
+        axes = axes_or_new(columns=2, figsize=(8.0, 3.6))
         robot, human = self.model.robot, self.model.human
+        steps = np.arange(8.0 * robot.time_constant)
         best, worst = (robot.steady_state(1.0, p_h) for p_h in (human.p_max, human.p_min))
         short, long = self.dwell_manual
-        rest = self.dwell_autonomous_high
-        steps = np.arange(8.0 * robot.time_constant)
-        for axis, start, goal, dwell, label in (
-            (axes[0], self.p_r_high, robot.p_min, rest, r"$\tau_{da}$"),
-            (axes[1], self.p_r_low, best, short, r"$\tau_{dml}$, greatest $P_h$"),
-            (axes[1], self.p_r_low, worst, long, r"$\tau_{dmu}$, least $P_h$"),
+        for start, goal, dwell, label in (
+            (self.p_r_high, robot.p_min, self.dwell_autonomous_high, r"autonomous, $\tau_{da}$"),
+            (self.p_r_low, best, short, r"manual, greatest $P_h$, $\tau_{dml}$"),
+            (self.p_r_low, worst, long, r"manual, least $P_h$, $\tau_{dmu}$"),
         ):
             curve, at_dwell = (goal + (start - goal) * robot.a**k for k in (steps, dwell))
-            (line,) = axis.plot(0.1 * steps, curve, label=label)
-            axis.plot(0.1 * dwell, at_dwell, "o", color=line.get_color())
-        titles = ("autonomous, from $P_{ru}$", "manual, from $P_{rl}$")
-        for axis, title in zip(axes[:2], titles, strict=True):
-            for bound in (self.p_r_low, self.p_r_high):
-                axis.axhline(bound, color="0.5", lw=0.8)
-            axis.set(xlabel="dwell time [s]", ylabel="robot performance $P_r$", title=title)
-            axis.legend(fontsize="small")
-        time = 0.1 * np.arange(4000)
+            (line,) = axes[0].plot(0.1 * steps, curve, label=label)
+            axes[0].plot(0.1 * dwell, at_dwell, "o", color=line.get_color())
         settled = longest_phase(self.model)
         run = simulate_allocation(self.model, self.lower, self.upper, settled + 4000, r0=0.1)
-        axes[2].plot(time, run["r"].iloc[settled:], label="r under (2.8)")
-        for bound, start, manual, label in (
-            (self.r_low, self.r_low, short, "to $r_l$"),
-            (self.r_high, self.r_high * human.a**rest, long, "to $r_u$"),
+        axes[1].plot(0.1 * np.arange(4000), run["r"].iloc[settled:], label="r under (2.8)")
+        axes[1].axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
+        for axis, bounds, name in (
+            (axes[0], (self.p_r_low, self.p_r_high), "robot performance $P_r$"),
+            (axes[1], (self.r_low, self.r_high), "utilization r"),
         ):
-            if math.isfinite(manual + rest):
-                phases = np.repeat([1.0, 0.0], [int(manual), int(rest)])
-                r, _ = human.simulate(np.resize(phases, time.size), start)
-                axes[2].plot(time, r, lw=1, label=label)
-            axes[2].axhline(bound, color="0.5", ls="--", lw=0.8)
-        axes[2].axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
-        axes[2].set(xlabel="time [s]", ylabel="utilization r")
-        axes[2].legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4)
+            for bound in bounds:
+                axis.axhline(bound, color="0.5", ls="--", lw=0.8)
+            axis.set(xlabel="time [s]", ylabel=name)
+            axis.legend(fontsize="small")
         return axes
 
 

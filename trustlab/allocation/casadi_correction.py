@@ -4,8 +4,8 @@ The correction (2.40)-(2.44) as one nonlinear program in CasADi, for costs of on
 The hard switch (2.8) makes the problem piecewise smooth. The program smooths it: the mode is a
 state m in [0, 1], the memory of (2.8), with m(k) = (1 − σ((TSC − TSC_u)/w)) (d + (1 − d) m(k − 1)),
 d = σ((TSC_l − TSC)/w), σ(y) = 1/(1 + exp(−y)) and the switch width w. No plan is judged by it: what
-the solver returns is run under the hard switch, as are the clipped plan and holding, and the
-cheapest is the plan. It is a local optimum at best. Where the solver fails or takes too long, the
+the solver returns is run under the hard switch, as is the clipped plan, and the cheaper is the
+plan. It is a local optimum at best. Where the solver fails or takes too long, the
 thresholds are held.
 """
 
@@ -20,15 +20,28 @@ from trustlab.allocation.correction import C_L, C_U, MODE, P_R, L, R, U
 from trustlab.models.checks import not_negative, positive
 from trustlab.models.tsc import next_performance, next_utilization, tsc_at
 
-# How near to rest and full load (2.6) is differentiated.
+# How near to rest and full load (2.6) is differentiated, and the narrowest box, in c_b.
 STEEP = 1e-9
+NARROW = 1e-9
 
-COST = itemgetter(0)
+# The solver begins at the clipped plan, so that it needs neither a barrier that leads it away from
+# its bounds nor a first guess of multipliers; the pivot order is quicker than MUMPS' own choice.
+IPOPT = {
+    "print_level": 0,
+    "sb": "yes",
+    "tol": 1e-7,
+    "mu_init": 1e-9,
+    "bound_push": 1e-7,
+    "bound_frac": 1e-7,
+    "constr_mult_init_max": 0.0,
+    "min_refinement_steps": 0,
+    "mumps_pivot_order": 0,
+}
 
 UNSOLVED = "The thresholds are held, as the solver found no plan: {reason}."
 SOLVED = (
-    "The cheapest, under the hard switch, of the solver's local optimum, the clipped plan and "
-    "holding; not proved optimal."
+    "The cheaper, under the hard switch, of the solver's local optimum and the clipped plan; not "
+    "proved optimal."
 )
 
 
@@ -65,12 +78,11 @@ class CorrectionProgram:
 
         self.corrector = corrector
         self.width = not_negative("switch_width", switch_width)
-        # Where modes are given, corrections move the thresholds alone.
-        self.moving = [0, 1, 2, 3, 4] if self.width else [2, 3]
+        # States are TSC_u and TSC_l, from their targets in c_b, r, P_r and the mode before. Where
+        # modes are given, corrections move the thresholds alone.
+        self.moving = 5 if self.width else 2
         self.limit = positive("limit", limit)
-        robot, (lower, upper), c_b = corrector.tsc.robot, corrector.target, corrector.c_b
-        self.zero = np.array([0.0, robot.p_min, upper, lower])
-        self.units = np.array([1.0, robot.p_max - robot.p_min, c_b, c_b])
+        robot, c_b = corrector.tsc.robot, corrector.c_b
         x, u, k = ca.MX.sym("x", 4), ca.MX.sym("u", 2), ca.MX.sym("k")
         try:
             added = ca.Function("added", [x, u, k], [ca.MX(extra_cost(x, u, k))])
@@ -85,66 +97,51 @@ class CorrectionProgram:
         if added.numel_out() != 1:
             raise ValueError(f"extra_cost must return one number, got {added.numel_out()}")
         n = corrector.horizon
-        self._added, self._boxes = added.map(n), box.map(n)
-        self._solver = self._program(self._stage(box, added).map(n), n)
+        path = ca.MX.sym("path", 6, n)
+        costs = added.map(n)(path[:4, :], path[4:, :], np.arange(n)[None, :])
+        self._added = ca.Function("added", [path], [ca.sum2(costs)])
+        self._solver = self._program(box.map(n))
 
-    def _stage(self, box: Any, added: Any) -> Any:
+    def _program(self, box: Any) -> Any:
         """
-        Return one step of (2.44) as a function.
-
-        From scaled states with the mode before, corrections as shares of their boxes, a given mode
-        and the step to scaled states after, and the cost of the step over c_b².
+        Return the solver of all steps, the states after them being unknowns; rows are one quantity
+        over the horizon.
         """
         import casadi as ca
 
-        tsc, c_b = self.corrector.tsc, self.corrector.c_b
-        robot, human = tsc.robot, tsc.human
-        # Scaled r, P_r, TSC_u and TSC_l, and the mode before.
-        z, w = ca.MX.sym("z", 5), ca.MX.sym("w", 2)
-        given, k = ca.MX.sym("given"), ca.MX.sym("k")
-        state = self.zero + self.units * z[:4]
-        r, p_r, upper, lower = ca.vertsplit(state)
-        least, most = box(state)
+        tsc, (goal_l, goal_u), c_b = self.corrector.tsc, self.corrector.target, self.corrector.c_b
+        robot, human, n = tsc.robot, tsc.human, self.corrector.horizon
+        path, scale = ca.MX.sym("path", 5, n + 1), ca.MX.sym("scale")
+        moving = ca.MX.sym("moving", self.moving, n)
+        states = ca.vertcat(moving, path[self.moving :, 1:])
+        z_u, z_l, r, p_r, before = ca.vertsplit(ca.horzcat(path[:, :1], states[:, :-1]))
+        upper, lower = goal_u + c_b * z_u, goal_l + c_b * z_l
+        x = ca.vertcat(r, p_r, upper, lower)
+        u = c_b * (states[:2, :] - ca.vertcat(z_u, z_l))
+        least, most = box(x)
+        width = ca.fmax(most - least, NARROW * c_b)
+        shares = (u - ca.vertcat(least, least)) / ca.vertcat(width, width)
         inside = ca.fmin(ca.fmax(r, STEEP), 1.0 - STEEP)
         shape = human.beta * ca.log(inside / human.beta)
         shape += (1.0 - human.beta) * ca.log((1.0 - inside) / (1.0 - human.beta))
         p_h = human.p_min + (human.p_max - human.p_min) * ca.exp(shape)  # (2.6)
         value = tsc_at.py_func(p_r, p_h, tsc.constants())  # (2.1)
-        mode = given
+        mode = path[4, 1:]
         if self.width:  # (2.8), smoothed
             up = 0.5 * (1.0 + ca.tanh(0.5 * (value - upper) / self.width))
             down = 0.5 * (1.0 + ca.tanh(0.5 * (lower - value) / self.width))
-            mode = (1.0 - up) * (down + (1.0 - down) * z[4])
+            mode = (1.0 - up) * (down + (1.0 - down) * before)
         after_r = next_utilization.py_func(r, mode, human.a)
         after_p = next_performance.py_func(p_r, p_h, mode, robot.a, robot.b, robot.p_min)
-        step = least + w * (most - least)
-        moved = z[2:4] + step / c_b
-        after = ca.vertcat(after_r, (after_p - robot.p_min) / self.units[1], moved, mode)
-        cost = added(state, step, k) / c_b**2 + ca.sumsqr(moved)
-        return ca.Function("stage", [z, w, given, k], [after, cost])
-
-    def _program(self, stages: Any, n: int) -> Any:
-        """Return the solver of all steps, the states between them being unknowns."""
-        import casadi as ca
-
-        moving, shares = ca.MX.sym("moving", len(self.moving), n), ca.MX.sym("shares", 2, n)
-        path, scale = ca.MX.sym("path", 5, n + 1), ca.MX.sym("scale")
-        rows = ca.vertsplit(path[:, 1:])
-        for place, row in zip(self.moving, ca.vertsplit(moving), strict=True):
-            rows[place] = row
-        states = ca.vertcat(*rows)
-        before = ca.horzcat(path[:, :1], states[:, :-1])
-        reached, costs = stages(before, shares, path[4, 1:], np.arange(n)[None, :])
+        missed = states[2:, :] - ca.vertcat(after_r, after_p, mode)
+        cost = self._added(ca.vertcat(x, u)) / c_b**2 + ca.sumsqr(states[:2, :])
         program = {
-            "x": ca.veccat(moving, shares),
+            "x": ca.vec(moving),
             "p": ca.veccat(path, scale),
-            "f": scale * ca.sum2(costs),
-            "g": ca.vec((states - reached)[self.moving, :]),
+            "f": scale * cost,
+            "g": ca.vec(ca.vertcat(shares, missed)[: self.moving, :]),
         }
-        ipopt = {"print_level": 0, "sb": "yes", "tol": 1e-7, "max_wall_time": self.limit}
-        ipopt |= {"mumps_pivot_order": 0}  # quicker than the choice by size that MUMPS makes
-        # The solver begins at a good plan, and must not push it far from its bounds.
-        ipopt |= {"mu_init": 1e-5, "bound_push": 1e-7, "bound_frac": 1e-7}
+        ipopt = IPOPT | {"max_wall_time": self.limit}
         options = {"print_time": False, "error_on_fail": False, "expand": True, "ipopt": ipopt}
         return ca.nlpsol("correction", "ipopt", program, options)
 
@@ -161,54 +158,44 @@ class CorrectionProgram:
             Mode before now.
         """
         began = perf_counter()
-        size = 2, self.corrector.horizon
-        simple = [self._judged(state, mode, np.full(size, each)) for each in (np.nan, 0.0)]
-        best = min(simple, key=COST)
-        path = best[1]
-        corrections, reason = self._solved(state, mode, path)
+        clipped = self._judged(state, mode, np.full((2, self.corrector.horizon), np.nan))
+        corrections, reason = self._solved(mode, clipped[1])
         if perf_counter() - began > self.limit:
             reason = f"it takes longer than limit = {self.limit:g} s"
-        best = min(best, self._judged(state, mode, corrections), key=COST)
-        if not np.isfinite(best[0]):
+        cost, path = min(clipped, self._judged(state, mode, corrections), key=itemgetter(0))
+        if not np.isfinite(cost):
             reason = "no plan has a finite cost"
-        return (np.nan, path, UNSOLVED.format(reason=reason)) if reason else (*best, SOLVED)
+        return (np.nan, path, UNSOLVED.format(reason=reason)) if reason else (cost, path, SOLVED)
 
     def _judged(
         self, state: np.ndarray, mode: int, corrections: np.ndarray
     ) -> tuple[float, np.ndarray]:
         """Return (2.43) with the user's cost, and the path, of corrections."""
         cost, _, path = self.corrector.followed(state, mode, corrections)
-        steps = np.arange(self.corrector.horizon)[None, :]
-        added = self._added(path[[R, P_R, U, L], :-1], path[[C_U, C_L], :-1], steps)
-        total = cost + float(np.sum(np.asarray(added)))
+        total = cost + float(self._added(path[[R, P_R, U, L, C_U, C_L], :-1]))
         return (total if np.isfinite(total) else np.inf), path
 
-    def _solved(self, state: np.ndarray, mode: int, guess: np.ndarray) -> tuple[np.ndarray, str]:
+    def _solved(self, mode: int, guess: np.ndarray) -> tuple[np.ndarray, str]:
         """Return c_l and c_u to which the solver comes from a path, and why not to use them."""
-        n = self.corrector.horizon
-        x = guess[[R, P_R, U, L]]
-        z = np.vstack([(x.T - self.zero).T / self.units[:, None], np.r_[mode, guess[MODE, :-1]]])
-        low, high = (np.asarray(ends) for ends in self._boxes(x[:, :-1]))
-        shares = (guess[[C_U, C_L], :-1] - low) / np.where(high > low, high - low, 1.0)
+        c_b, target = self.corrector.c_b, np.array(self.corrector.target)
+        thresholds = (guess[[U, L]] - target[::-1, None]) / c_b
+        z = np.vstack([thresholds, guess[[R, P_R]], np.r_[mode, guess[MODE, :-1]]])
+        now, start = z[:2, :1], z[: self.moving, 1:]
         # Both thresholds stay between their values now and their targets, which are 0.
-        most = np.full((5, n), np.inf)
-        least = -most
-        now = z[2:4, :1]
-        least[2:4], most[2:4] = np.minimum(now, 0.0) - 1e-6, np.maximum(now, 0.0) + 1e-6
-        moving = self.moving
+        least, most, share = np.full_like(start, -np.inf), np.full_like(start, np.inf), 0.0 * start
+        least[:2], most[:2], share[:2] = np.minimum(now, 0.0) - 1e-6, np.maximum(now, 0.0) + 1e-6, 1
         try:
             solution = self._solver(
-                x0=np.r_[z[moving, 1:].ravel("F"), np.clip(shares, 0.0, 1.0).ravel("F")],
+                x0=start.ravel("F"),
                 p=np.r_[z.ravel("F"), 1.0 / max(1.0, np.sum(now**2))],
-                lbx=np.r_[least[moving].ravel("F"), np.zeros(2 * n)],
-                ubx=np.r_[most[moving].ravel("F"), np.ones(2 * n)],
+                lbx=least.ravel("F"),
+                ubx=most.ravel("F"),
                 lbg=0.0,
-                ubg=0.0,
+                ubg=share.ravel("F"),
             )
         except RuntimeError as error:
-            return shares, str(error).strip().splitlines()[-1][-200:]
-        reached = np.asarray(solution["x"])[: len(moving) * n].reshape(n, -1).T
-        both = slice(moving.index(2), moving.index(3) + 1)
-        steps = np.diff(np.c_[now, reached[both]], axis=1)[::-1] * self.corrector.c_b
+            return guess[[C_L, C_U], :-1], str(error).strip().splitlines()[-1][-200:]
+        reached = np.asarray(solution["x"]).reshape(-1, self.moving).T[:2]
+        steps = np.diff(np.c_[now, reached], axis=1)[::-1] * c_b
         stats = self._solver.stats()
         return steps, "" if stats["success"] else str(stats["return_status"])

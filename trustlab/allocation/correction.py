@@ -8,9 +8,7 @@ puts both thresholds nearest to it at every step, and so minimizes every term of
 step k any admissible threshold lies between its first value and that of this clipped plan; where
 TSC(k) does not lie between the two, rule (2.8) gives the same mode for all plans. If it never does,
 all plans have the same modes and clipping is optimal. From the first step at which it does, the
-bound of the cost takes the widest boxes that any modes can lead to: those of the autonomous mode
-for ever for a threshold that rises, those of the manual mode at the operator's best for one that
-falls.
+bound of the cost lets thresholds move by c_b, the most that any boxes allow.
 """
 
 from __future__ import annotations
@@ -30,7 +28,6 @@ from trustlab.models.checks import (
     of_class,
     one_of,
     positive,
-    shown,
     warn,
     whole_number,
 )
@@ -50,6 +47,7 @@ LOWER, UPPER = 0, 1
 # Rows of a plan's path, and their names.
 R, P_R, L, U, MODE, C_L, C_U = range(7)
 COLUMNS = ("r", "p_r", "lower", "upper", "mode", "c_l", "c_u")
+SIDES = (LOWER, L, C_L), (UPPER, U, C_U)
 
 # By how much, as a share of its range, robot performance may lie outside and still count as the end
 # of the range.
@@ -157,73 +155,63 @@ def _allowed(wish, now, start, target, low, high):
     return min(max(moved, min(start, target)), max(start, target)) - now
 
 
+@njit
+def sound(low, high, c_b):
+    """Return whether a correction's bounds lie in [−c_b, 0] and [0, c_b], but for rounding."""
+    slack = 1e-9 * c_b
+    return -c_b - slack <= low <= slack and -slack <= high <= c_b + slack
+
+
 @njit(inline="always")
-def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
+def follow_with(incentive, c, c_b, target, start, mode, given, path):
     """
     Follow (2.44) under the hard switch (2.8), with corrections as given where the boxes (2.42) and
     the intervals allow, and as fast as these allow where given is NaN.
 
     `path` has r, P_r, TSC_l and TSC_u in its first column, and the rest is filled: rows as named by
     COLUMNS, the last three without their last column. `start` are the thresholds of the first
-    column, `given` has the shape (2, N). Returns the cost (2.43), NaN where incentives leave
-    [−c_b, 0] and [0, c_b], and a bound that no admissible plan costs less than, of use where all
-    corrections are NaN; where incentives are not `certain` to be (2.42), the bound takes c_b.
+    column, `given` has the shape (2, N). Returns the cost (2.43), NaN where incentives are not
+    sound, and a bound that no admissible plan costs less than, of use where all corrections are
+    NaN.
     """
     cost = 0.0
     bound = 0.0
-    slack = 1e-9 * c_b
-    same_modes = True  # whether all admissible plans have had the same modes so far
-    # Of the states that other plans may be in, the least and the greatest load and performance.
-    r_least, p_least = path[R, 0], path[P_R, 0]
-    r_most, p_most = r_least, p_least
-    farthest_l, farthest_u = start[LOWER], start[UPPER]
+    alike = True  # whether all admissible plans have had the same modes so far
+    nearest = start.copy()
     for k in range(path.shape[1] - 1):
         r, p_r = path[R, k], path[P_R, k]
         lower, upper = path[L, k], path[U, k]
         p_h = human_at(r, c)
         tsc = tsc_at(p_r, p_h, c)
-        same_state = same_modes
-        if same_state:
-            r_least, p_least = r, p_r
-            r_most, p_most = r, p_r
-            # Between switches (2.8) waits for one threshold alone, which other plans have between
-            # its first value and this one.
-            if k > 0 and mode == 1:
-                same_modes = (tsc >= start[UPPER]) == (tsc >= upper)
-            elif k > 0:
-                same_modes = (tsc <= start[LOWER]) == (tsc <= lower)
-        mode = threshold_mode(tsc, lower, upper, mode)
         low, high = incentive(r, p_r, c_b, c.p_r_min, c.p_r_max)
-        if not (-c_b - slack <= low <= slack and -slack <= high <= c_b + slack):
+        if not sound(low, high, c_b):
             return np.nan, np.nan
         low, high = min(low, 0.0), max(high, 0.0)
-        c_l = _allowed(given[LOWER, k], lower, start[LOWER], target[LOWER], low, high)
-        c_u = _allowed(given[UPPER, k], upper, start[UPPER], target[UPPER], low, high)
+        down, up = (low, high) if alike else (-c_b, c_b)
+        # Between switches (2.8) waits for one threshold alone, which other plans have between its
+        # first value and this one.
+        if alike and k > 0 and mode == 1:
+            alike = (tsc >= start[UPPER]) == (tsc >= upper)
+        elif alike and k > 0:
+            alike = (tsc <= start[LOWER]) == (tsc <= lower)
+        mode = threshold_mode(tsc, lower, upper, mode)
+        for side, row, change in SIDES:
+            goal = target[side]
+            step = _allowed(given[side, k], path[row, k], start[side], goal, low, high)
+            path[change, k] = step
+            path[row, k + 1] = path[row, k] + step
+            cost += (path[row, k + 1] - goal) ** 2
+            nearest[side] += min(max(goal - nearest[side], down), up)
+            bound += (nearest[side] - goal) ** 2
         path[MODE, k] = mode
-        path[C_L, k], path[C_U, k] = c_l, c_u
-        path[L, k + 1], path[U, k + 1] = lower + c_l, upper + c_u
         path[R, k + 1], path[P_R, k + 1] = advance(r, p_r, p_h, float(mode), c)
-        cost += (path[U, k + 1] - target[UPPER]) ** 2 + (path[L, k + 1] - target[LOWER]) ** 2
-        up, down = high, low
-        if not same_state:
-            up, down = c_b, -c_b
-            if certain:
-                up = max(incentive(r_least, p_least, c_b, c.p_r_min, c.p_r_max)[1], 0.0)
-                down = min(incentive(r_most, p_most, c_b, c.p_r_min, c.p_r_max)[0], 0.0)
-        farthest_l += min(max(target[LOWER] - farthest_l, down), up)
-        farthest_u += min(max(target[UPPER] - farthest_u, down), up)
-        bound += (farthest_u - target[UPPER]) ** 2 + (farthest_l - target[LOWER]) ** 2
-        # Performance falls farthest under P_h,min where that is negative, else without anybody.
-        p_least = advance(0.0, p_least, min(c.p_h_min, 0.0), 1.0, c)[1]
-        r_least = advance(r_least, 0.0, 0.0, 0.0, c)[0]
-        r_most, p_most = advance(r_most, p_most, c.p_h_max, 1.0, c)
     return cost, min(bound, cost)
 
 
 @njit
 def follow(c, c_b, target, start, mode, given, path):
     """Follow (2.44) as `follow_with` does, with the incentives (2.42)."""
-    return follow_with(box, True, c, c_b, target, start, mode, given, path)
+    return follow_with(box, c, c_b, target, start, mode, given, path)
 
 
 # --- plans ----------------------------------------------------------------------------------------
@@ -392,12 +380,8 @@ class ThresholdCorrector:
         self.target = check_target(tsc, target)
         self.c_b = positive("c_b", c_b)
         self.horizon = whole_number("horizon", horizon, most=1_000_000)
+        self._range = tsc.robot.p_min, tsc.robot.p_max
         self.incentive = incentive
-        if not callable(incentive):
-            raise ValueError(
-                "incentive must be a function of r, p_r, c_b, p_min and p_max that returns the "
-                f"least and the greatest correction, got {shown(incentive)}"
-            )
         if incentive is not incentive_box:
             self._try(incentive)
         options = {"extra_cost": extra_cost, "switch_width": switch_width, "limit": limit}
@@ -410,7 +394,6 @@ class ThresholdCorrector:
             self.program = CorrectionProgram(self, **given)
         elif given:
             raise ValueError(f'{", ".join(given)} would do nothing without engine="casadi"')
-        self._range = tsc.robot.p_min, tsc.robot.p_max
         self._problem = tsc.constants(), self.c_b, np.array(self.target)
         self._clipped = np.full((2, self.horizon), np.nan)
         state = np.zeros(2), 1, self._clipped, np.zeros((7, 2))
@@ -476,20 +459,20 @@ class ThresholdCorrector:
 
     def _try(self, incentive: Callable) -> None:
         """Refuse an incentive that fails or has no bounds where it is tried, not in a loop."""
-        c_b, p_min, p_max = self.c_b, self.tsc.robot.p_min, self.tsc.robot.p_max
         for r in (0.1, 0.5, 0.9):
             try:
-                low, high = map(float, incentive(r, 0.5 * (p_min + p_max), c_b, p_min, p_max))
+                bounds = incentive(r, 0.5 * sum(self._range), self.c_b, *self._range)
+                low, high = map(float, bounds)
             except Exception as error:
                 raise ValueError(
-                    "incentive must return the least and the greatest correction of r, p_r, c_b, "
-                    f"p_min and p_max, but at r = {r} raises {type(error).__name__}: {error}"
+                    "incentive must be a function of r, p_r, c_b, p_min and p_max that returns the "
+                    f"least and the greatest correction, but at r = {r} it raises "
+                    f"{type(error).__name__}: {error}"
                 ) from error
-            slack = 1e-9 * c_b
-            if not (-c_b - slack <= low <= slack and -slack <= high <= c_b + slack):
+            if not sound.py_func(low, high, self.c_b):
                 raise ValueError(
-                    f"incentive must return numbers in [−c_b, 0] and [0, c_b], c_b = {c_b:g}, but "
-                    f"at r = {r} returns {low:g} and {high:g}"
+                    f"incentive must return numbers in [−c_b, 0] and [0, c_b], c_b = "
+                    f"{self.c_b:g}, but at r = {r} returns {low:g} and {high:g}"
                 )
 
     def followed(
@@ -514,7 +497,7 @@ class ThresholdCorrector:
         if self.incentive is incentive_box:
             called = self._follow if given is self._clipped else follow
             return *called(*arguments), path
-        return *follow_with.py_func(self.incentive, False, *arguments), path
+        return *follow_with.py_func(self.incentive, *arguments), path
 
 
 def suggestion_now(tsc: float, lower: float, upper: float) -> int:

@@ -46,22 +46,6 @@ NO_IMAGE = PhaseImage(np.inf, -np.inf, 0.0, np.inf, 0.0, np.inf, -np.inf, np.inf
 
 
 @njit
-def united(a, b):
-    """Return the image that encloses two images."""
-    return PhaseImage(
-        min(a.r_low, b.r_low),
-        max(a.r_high, b.r_high),
-        max(a.overshoot, b.overshoot),
-        min(a.dwell_low, b.dwell_low),
-        max(a.dwell_high, b.dwell_high),
-        min(a.p_r_low, b.p_r_low),
-        max(a.p_r_high, b.p_r_high),
-        min(a.tsc_low, b.tsc_low),
-        max(a.tsc_high, b.tsc_high),
-    )
-
-
-@njit
 def overshoot(manual, low, high, threshold, c):
     """
     Bound by how much TSC can pass a threshold in the step that meets it, from r in [low, high].
@@ -110,24 +94,21 @@ def overshoot(manual, low, high, threshold, c):
 
 
 @njit
-def propagate(manual, low, high, tsc_low, tsc_high, target, c, most):
+def propagate(manual, low, high, tsc_low, tsc_high, target, c, most, image):
     """
     Propagate utilizations [low, high] with TSC in [tsc_low, tsc_high] through one phase.
 
-    Returns whether all of them end the phase within `most` samples, and the image. Sample by sample
-    r, P_h and P_r are intervals; the phase can end from the first sample at which some TSC can meet
-    the target until all must have.
+    Returns whether all of them end the phase within `most` samples, and the image united with the
+    one given. Sample by sample r, P_h and P_r are intervals; the phase can end from the first
+    sample at which some TSC can meet the target until all must have.
     """
     mode = 1.0 if manual else 0.0
     p_low, p_high = human_range(low, high, c)
     p_r_low = (tsc_low + c.b_T * p_low) / c.a_T
     p_r_high = (tsc_high + c.b_T * p_high) / c.a_T
-    least_p = np.inf
-    most_p = -np.inf
-    least_tsc = np.inf
-    most_tsc = -np.inf
-    end_low = np.inf
-    end_high = -np.inf
+    end_low, end_high = image.r_low, image.r_high
+    least_p, most_p = image.p_r_low, image.p_r_high
+    least_tsc, most_tsc = image.tsc_low, image.tsc_high
     first = -1
     before_low = low
     before_high = high
@@ -154,14 +135,15 @@ def propagate(manual, low, high, tsc_low, tsc_high, target, c, most):
                 before_high = max(before_high, last_high)
             if (manual and t_low >= target) or (not manual and t_high <= target):
                 over = overshoot(manual, before_low, before_high, target, c)
-                dwells = float(first), float(n)
+                over = max(image.overshoot, over)
+                dwells = min(image.dwell_low, first), max(image.dwell_high, n)
                 ranges = least_p, most_p, least_tsc, most_tsc
                 return True, PhaseImage(end_low, end_high, over, *dwells, *ranges)
         last_low, last_high = low, high
         low, p_r_low = advance(low, p_r_low, p_low, mode, c)
         high, p_r_high = advance(high, p_r_high, p_high, mode, c)
         p_low, p_high = human_range(low, high, c)
-    return False, NO_IMAGE
+    return False, image
 
 
 @njit
@@ -177,32 +159,10 @@ def phase_image(manual, low, high, start, over, target, c, cells, most):
     for k in range(cells):
         left = low + (high - low) * k / cells
         right = low + (high - low) * (k + 1) / cells
-        ends, part = propagate(manual, left, right, tsc_low, tsc_high, target, c, most)
+        ends, image = propagate(manual, left, right, tsc_low, tsc_high, target, c, most, image)
         if not ends:
             return False, NO_IMAGE
-        image = united(image, part)
     return True, image
-
-
-@njit
-def enclose(low, high, over, lower, upper, c, cells, most):
-    """
-    Propagate r in [low, high], as a manual phase begins, through one cycle.
-
-    TSC begins within `over` below TSC_l. Returns whether all phases end within `most` samples, the
-    images of both phases, and the greatest r as the autonomous one begins.
-    """
-    # No literals True and False: numba would compile `phase_image` once for each.
-    first_phase = cells > 0
-    ends, manual = phase_image(first_phase, low, high, lower, over, upper, c, cells, most)
-    if not ends:
-        return False, NO_IMAGE, NO_IMAGE, 1.0
-    first = max(manual.r_low - ROUNDING, 0.0)
-    last = min(manual.r_high + ROUNDING, 1.0)
-    ends, autonomous = phase_image(
-        not first_phase, first, last, upper, manual.overshoot, lower, c, cells, most
-    )
-    return ends, manual, autonomous, last
 
 
 def nest(lower, upper, c, cells, cycles, most):
@@ -224,7 +184,13 @@ def nest(lower, upper, c, cells, cycles, most):
     settled = False
     done = 0
     while True:
-        ends, manual, autonomous, last = enclose(low, high, over, lower, upper, c, count, most)
+        ends, manual = phase_image(True, low, high, lower, over, upper, c, count, most)
+        if not ends:
+            return ()
+        first = max(manual.r_low - ROUNDING, 0.0)
+        last = min(manual.r_high + ROUNDING, 1.0)
+        begun = False, first, last, upper, manual.overshoot
+        ends, autonomous = phase_image(*begun, lower, c, count, most)
         if not ends:
             return ()
         samples = manual.dwell_high + autonomous.dwell_high
@@ -323,58 +289,53 @@ def invariant_bounds(
     cells = whole_number("cells", cells)
     cycles = whole_number("cycles", cycles)
     c = tsc.constants()
-    pair: Any = {"model": tsc, "lower": lower, "upper": upper}
+    nested = ()
     reason = endless_phase(tsc, lower, upper)
     if not reason:
         coarse = min(COARSE, cells)
         most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * coarse))) + 100
         nested = nest(lower, upper, c, cells, cycles, most)
-        if not nested:
-            reason = (
-                f"a phase from some utilization was not shown to end within {most} samples; "
-                f"cells= below {coarse} allow longer phases"
-            )
-    if reason:
-        return InvariantBounds(
-            guaranteed=False,
-            reason=reason,
-            cycles=0,
-            **pair,
-            **ends(
-                r=(0.0, 1.0),
-                p_r=(tsc.robot.p_min, tsc.robot.steady_state(1.0, tsc.human.p_max)),
-                tsc=(-np.inf, np.inf),
-                dwell_manual=(1.0, np.inf),
-                dwell_autonomous=(1.0, np.inf),
-            ),
+        reason = (
+            f"a phase from some utilization was not shown to end within {most} samples; "
+            f"cells= below {coarse} allow longer phases"
         )
-    low, high, manual, autonomous, done, settled = nested
-    # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per
-    # sample is far more than that.
-    slack = max(manual.dwell_high, autonomous.dwell_high) * ROUNDING
-    # r falls in autonomous phases and rises in manual ones, so that its extremes are where these
-    # begin.
-    r_low = max(low - slack, 0.0)
-    r_high = min(high + slack, 1.0)
-    reason = f"every trajectory keeps switching; sets of states nested over {done} cycles"
-    if not settled:
-        reason += " and were still shrinking, so that tighter bounds exist"
-    return InvariantBounds(
-        guaranteed=True,
-        reason=reason,
-        cycles=done + 1,
-        **pair,
-        **ends(
-            r=(r_low, r_high),
-            p_r=(
+    after = 0
+    ranges: Any = {
+        "r": (0.0, 1.0),
+        "p_r": (tsc.robot.p_min, tsc.robot.steady_state(1.0, tsc.human.p_max)),
+        "tsc": (-np.inf, np.inf),
+        "dwell_manual": (1.0, np.inf),
+        "dwell_autonomous": (1.0, np.inf),
+    }
+    if nested:
+        low, high, manual, autonomous, done, settled = nested
+        after = done + 1
+        reason = f"every trajectory keeps switching; sets of states nested over {done} cycles"
+        if not settled:
+            reason += " and were still shrinking, so that tighter bounds exist"
+        # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per
+        # sample is far more than that. r falls in autonomous phases and rises in manual ones, so
+        # that its extremes are where these begin.
+        slack = max(manual.dwell_high, autonomous.dwell_high) * ROUNDING
+        ranges = {
+            "r": (max(low - slack, 0.0), min(high + slack, 1.0)),
+            "p_r": (
                 min(manual.p_r_low, autonomous.p_r_low) - slack,
                 max(manual.p_r_high, autonomous.p_r_high) + slack,
             ),
-            tsc=(
+            "tsc": (
                 min(manual.tsc_low, lower - autonomous.overshoot) - slack,
                 max(autonomous.tsc_high, upper + manual.overshoot) + slack,
             ),
-            dwell_manual=(manual.dwell_low, manual.dwell_high),
-            dwell_autonomous=(autonomous.dwell_low, autonomous.dwell_high),
-        ),
+            "dwell_manual": (manual.dwell_low, manual.dwell_high),
+            "dwell_autonomous": (autonomous.dwell_low, autonomous.dwell_high),
+        }
+    return InvariantBounds(
+        model=tsc,
+        lower=lower,
+        upper=upper,
+        guaranteed=bool(nested),
+        reason=reason,
+        cycles=after,
+        **ends(**ranges),
     )

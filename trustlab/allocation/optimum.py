@@ -38,11 +38,6 @@ MOST_DWELLS = 40
 MOST_SAMPLES = 20_000
 DENSE = 600
 
-# Effort of a coarse survey of thresholds on TSC, and how many of its best pairs are followed sample
-# by sample.
-SCREENING = 1e5
-FOLLOWED = 25
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OptimalAllocation(Result):
@@ -111,8 +106,7 @@ class OptimalAllocation(Result):
             "mean P_r": self.mean_p_r,
             "value of thresholds on TSC": self.threshold_value,
         }
-        table = pd.DataFrame.from_dict(rows, orient="index", columns=["value"])
-        return table.rename_axis("quantity")
+        return pd.Series(rows, name="value").rename_axis("quantity").to_frame()
 
 
 def optimal_allocation(
@@ -217,26 +211,22 @@ def certificate(tsc: TscModel, weight: float, limit: float) -> tuple[float, floa
     ends = np.geomspace(1e-9, 1e-3, 200)
     r = np.unique(np.r_[0.0, ends, np.linspace(0.0, 1.0, GRID), 1.0 - ends, 1.0])
     p_h = human.performance(r)
-    area = integral_of_performance(tsc, r)
-    kappa = of_robot / (1.0 - human.a)
+    kappa = of_robot / human.b
+    mode = np.array([[0.0], [1.0]])
+    after = human.a * r + human.b * mode
+    scale = of_robot * mode + of_human
+    change = integral_of_performance(tsc, after) - integral_of_performance(tsc, r)
+    gain = scale * p_h - of_human * human.p_min - kappa * change
     with np.errstate(divide="ignore", invalid="ignore"):
         # (2.6) is concave: within a cell its slope lies between those at the ends.
         steep = (p_h - human.p_min) * (human.beta - r) / (r * (1.0 - r))
-    steep[[0, -1]] = np.inf, -np.inf
-    gains = []
-    slopes = []  # of the gain in every cell: least, greatest
-    for mode in (0.0, 1.0):
-        after = human.a * r + (1.0 - human.a) * mode
-        change = integral_of_performance(tsc, after) - area
-        scale = of_robot * mode + of_human
-        gains.append(scale * p_h - of_human * human.p_min - kappa * change)
-        least, most = _over_cells(human, r)
-        next_least, next_most = _over_cells(human, after)
-        with np.errstate(invalid="ignore"):  # 0 · ∞ where performance counts for nothing
-            ends_of = np.nan_to_num(scale * np.array([steep[1:], steep[:-1]]), nan=0.0)
-        low = ends_of[0] + kappa * (least - human.a * next_most)
-        slopes.append((low, ends_of[1] + kappa * (most - human.a * next_least)))
-    best = np.maximum(*gains)
+        steep[[0, -1]] = np.inf, -np.inf
+        steep = np.nan_to_num(scale * steep, nan=0.0)  # 0 · ∞ where performance counts for nothing
+    least, most = _over_cells(human, r)
+    next_least, next_most = _over_cells(human, after)
+    low = steep[:, 1:] + kappa * (least - human.a * next_most)
+    high = steep[:, :-1] + kappa * (most - human.a * next_least)
+    best = gain.max(axis=0)
 
     def on_grid(price: float) -> float:
         return float((best - price * (r - limit)).max())
@@ -244,21 +234,19 @@ def certificate(tsc: TscModel, weight: float, limit: float) -> tuple[float, floa
     price = 0.0
     if r[int(np.argmax(best))] > limit:
         price = float(optimize.minimize_scalar(on_grid, bounds=(0.0, 1e4), method="bounded").x)
-    bound = -np.inf
-    for gain, (low, high) in zip(gains, slopes, strict=True):
-        net = gain - price * (r - limit)
-        rise = net[:-1] + np.diff(r) * np.maximum(high - price, 0.0)
-        fall = net[1:] - np.diff(r) * np.minimum(low - price, 0.0)
-        bound = max(bound, float(np.minimum(rise, fall).max()))
+    net = gain - price * (r - limit)
+    rise = net[:, :-1] + np.diff(r) * np.maximum(high - price, 0.0)
+    fall = net[:, 1:] - np.diff(r) * np.minimum(low - price, 0.0)
+    bound = float(np.minimum(rise, fall).max())
     return bound, float(r[int(np.argmax(best - price * (r - limit)))])
 
 
 def _over_cells(human: HumanModel, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the least and the greatest P_h between neighbours of r."""
-    p_h = human.performance(r)
-    most = np.maximum(p_h[1:], p_h[:-1])
-    inside = (r[:-1] < human.beta) & (human.beta < r[1:])
-    return np.minimum(p_h[1:], p_h[:-1]), np.where(inside, human.p_max, most)
+    p_h, left, right = human.performance(r), r[..., :-1], r[..., 1:]
+    ends = p_h[..., :-1], p_h[..., 1:]
+    inside = (left < human.beta) & (human.beta < right)
+    return np.minimum(*ends), np.where(inside, human.p_max, np.maximum(*ends))
 
 
 # --- patterns -------------------------------------------------------------------------------------
@@ -271,12 +259,16 @@ def earn(c, manual, autonomous, of_robot, of_human):
     r = (1.0 - c.a_r**manual) * c.a_r**autonomous / (1.0 - c.a_r**samples)
     driven = 0.0
     sum_p_h = 0.0
-    for k in range(samples):
-        mode = 1.0 if k < manual else 0.0
-        p_h = human_at(r, c)
-        driven += mode * p_h
-        sum_p_h += p_h
-        r = next_utilization(r, mode, c.a_r)
+    for mode, left in ((1.0, manual), (0.0, autonomous)):
+        while left > 0:
+            p_h = human_at(r, c)
+            after = next_utilization(r, mode, c.a_r)
+            # At the end of a long phase all samples are alike.
+            count = left if after == r or (mode == 0.0 and p_h == c.p_h_min) else 1
+            driven += count * mode * p_h
+            sum_p_h += count * p_h
+            left -= count
+            r = after
     value = (of_robot * driven + of_human * (sum_p_h - samples * c.p_h_min)) / samples
     return value, driven / samples
 
@@ -292,8 +284,7 @@ def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tup
     many = DENSE if limit < 1.0 else 0
     longest = 1000.0
     if least > 1:
-        settling = LONGEST / (1.0 - tsc.human.a)
-        longest = max(min(MOST_DWELLS * least, MOST_SAMPLES), settling, least + settling)
+        longest = max(min(MOST_DWELLS * least, MOST_SAMPLES), least + LONGEST / tsc.human.b)
     if limit < 1.0:  # whatever keeps the limit with the shortest phases
         longest = max(longest, least * least_rest, least / least_rest) + 1.0
 
@@ -301,10 +292,10 @@ def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tup
         """
         Return the best of all pairs, and of many manual phases between them with the least rest.
         """
-        manual, autonomous = np.clip([manual, autonomous], least, longest)
         pairs = np.array(np.meshgrid(manual, autonomous)).reshape(2, -1)
-        between = np.geomspace(manual.min(), manual.max(), many)
-        drive, rest = np.round(np.hstack([pairs, [between, np.full(many, least)]]))
+        between = np.geomspace(max(manual.min(), least), max(manual.max(), least), many)
+        pairs = np.hstack([pairs, [between, np.full(many, least)]])
+        drive, rest = np.round(np.clip(pairs, least, longest))
         rest = np.maximum(rest, np.ceil(drive * least_rest))
         patterns = np.unique(np.column_stack([drive, rest])[rest <= longest], axis=0).astype(int)
         return patterns[np.argmax([earn(c, *pattern, *scales)[0] for pattern in patterns])]
@@ -323,17 +314,15 @@ def _best_thresholds(
     tsc: TscModel, weight: float, least: int, limit: float
 ) -> tuple[tuple[float, float] | None, float]:
     """Return the best pair of thresholds on TSC that keeps dwell time and mean r."""
-    limits = threshold_limits(tsc, 0.0)
+    limits = threshold_limits(tsc)
     low, high = sorted([limits.lower, limits.upper])
     margin = 0.01 * max(high - low, 1e-6)
     pairs = grid_of_pairs(low + margin, high - margin, 40)
-    coarsely = points(survey([tsc], pairs, SCREENING), [tsc], weight)[0]
-    followed = []
-    for k in np.argsort(-np.nan_to_num(coarsely, nan=-np.inf), kind="stable"):
-        motion = survey([tsc], pairs[k : k + 1])
-        if motion[0, 0, AUTONOMOUS:, LOW].min() >= least and motion[0, 0, R, MEAN] <= limit:
-            followed.append((float(points(motion, [tsc], weight).item()), tuple(pairs[k].tolist())))
-        if len(followed) == FOLLOWED:
-            break
-    value, best = max(followed, key=lambda each: each[0], default=(np.nan, None))
-    return best, value
+    motions = survey([tsc], pairs)
+    keeps = motions[0, :, AUTONOMOUS:, LOW].min(axis=1) >= least
+    keeps &= motions[0, :, R, MEAN] <= limit
+    if not keeps.any():
+        return None, np.nan
+    values = np.where(keeps, points(motions, [tsc], weight)[0], -np.inf)
+    best = int(np.argmax(values))
+    return tuple(pairs[best].tolist()), float(values[best])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import pandas as pd
 from trustlab.models.checks import in_order, of_class
 from trustlab.models.compiled import njit
 from trustlab.models.display import Result, axes_or_new
-from trustlab.models.tsc import TscModel, advance, human_at, tsc_at
+from trustlab.models.tsc import TscConstants, TscModel, advance, human_at, tsc_at
 
 # Most samples that one model is simulated for: some seconds.
 EFFORT = 100_000_000
@@ -25,16 +25,13 @@ LOW, HIGH, MEAN = range(3)
 ENDLESS = 50.0
 
 # Time constants that are left to settle, and cycles that are recorded then: of one pair of
-# thresholds, of many, and of many at a coarse sample time.
+# thresholds, of many, and of many under many models, to be screened.
 ALONE = 30.0, 300
 EXACT = 20.0, 100
 SCREEN = 7.0, 4
 
 # Difference of the ranges of utilization from which on two motions count as two.
 COEXIST = 1e-3
-
-# Samples per time constant of the quicker process, at a coarse sample time.
-QUICK = 25
 
 
 @njit
@@ -103,40 +100,26 @@ def longest_phase(tsc: TscModel) -> int:
     return int(ENDLESS * slowest) + 100
 
 
-def coarse(tsc: TscModel, ratio: float) -> tuple[TscModel, int]:
-    """Return a model at a sample time about so many times as long, and how many times it is."""
-    quick = min(tsc.robot.time_constant, tsc.human.time_constant)
-    whole = max(1, int(min(quick / QUICK, ratio)))
-    a = tsc.robot.a**whole
-    b = tsc.robot.b * (1.0 - a) / (1.0 - tsc.robot.a)
-    return TscModel(replace(tsc.robot, a=a, b=b), replace(tsc.human, a=tsc.human.a**whole)), whole
-
-
 def survey(
     models: list[TscModel],
     pairs: np.ndarray,
-    effort: float = np.inf,
-    rested: bool = False,
     lengths: tuple[float, int] = EXACT,
+    rested: bool = False,
 ) -> np.ndarray:
     """
     Return the motions of models under pairs of thresholds, shape (models, pairs, 6, 3).
 
     Rows are r, P_r, P_h, TSC and the dwell times in either mode [samples], columns least, greatest
     and mean; NaN where a mode stays for ever. All begin in the manual mode, at β where TSC meets
-    TSC_l, or `rested` at r = 0 and P_r,min. Where models times pairs times the slower time constant
-    [samples] exceeds `effort`, the sample time is coarse. `lengths` are time constants left to
-    settle, and cycles recorded.
+    TSC_l, or `rested` at r = 0 and P_r,min. `lengths` are time constants left to settle, and cycles
+    recorded.
     """
     motions = np.empty((len(models), len(pairs), 6, 3))
-    for own, rows in zip(models, motions, strict=True):
-        slow = max(own.robot.time_constant, own.human.time_constant)
-        tsc, ratio = coarse(own, len(models) * len(pairs) * slow / effort)
-        settling, cycles = SCREEN if ratio > 1 else lengths
-        c, ends_of = tsc.constants(), (settling * slow / ratio, cycles, longest_phase(tsc))
+    for tsc, rows in zip(models, motions, strict=True):
+        most = longest_phase(tsc)
+        settle = lengths[0] * max(tsc.robot.time_constant, tsc.human.time_constant)
         for pair, motion in zip(pairs.tolist(), rows, strict=True):
-            steady_motion(c, *pair, rested, *ends_of, motion)
-        rows[:, AUTONOMOUS:] *= ratio
+            steady_motion(tsc.constants(), *pair, rested, settle, lengths[1], most, motion)
     return motions
 
 
@@ -145,12 +128,17 @@ def from_both_starts(
 ) -> np.ndarray:
     """Return the motions of models under one pair, from β and from rest: (2, models, 1, 6, 3)."""
     pairs = np.array([pair])
-    return np.array([survey(models, pairs, np.inf, start, lengths) for start in (False, True)])
+    return np.array([survey(models, pairs, lengths, rested) for rested in (False, True)])
+
+
+def stacked(models: list[TscModel]) -> TscConstants:
+    """Return the constants of models, each an array of shape (models, 1)."""
+    return TscConstants(*np.transpose([tsc.constants() for tsc in models])[:, :, None])
 
 
 def encloses_beta(motions: np.ndarray, models: list[TscModel]) -> np.ndarray:
     """Return whether steady utilization encloses β, by model and pair."""
-    beta = np.array([tsc.human.beta for tsc in models])[:, None]
+    beta = stacked(models).beta
     return (motions[..., R, LOW] <= beta) & (beta <= motions[..., R, HIGH])
 
 
@@ -160,10 +148,9 @@ def points(motions: np.ndarray, models: list[TscModel], weight: float) -> np.nda
 
     Both are means over the motion, in points of (2.39): per cent of their ranges.
     """
-    rows = [(m.robot.p_min, m.robot.p_max, m.human.p_min, m.human.p_max) for m in models]
-    r_min, r_max, h_min, h_max = np.array(rows).T[:, :, None]
-    of_robot = (motions[:, :, P_R, MEAN] - r_min) / (r_max - r_min)
-    of_human = (motions[:, :, P_H, MEAN] - h_min) / (h_max - h_min)
+    c = stacked(models)
+    of_robot = (motions[..., P_R, MEAN] - c.p_r_min) / (c.p_r_max - c.p_r_min)
+    of_human = (motions[..., P_H, MEAN] - c.p_h_min) / (c.p_h_max - c.p_h_min)
     return 100.0 * (weight * of_robot + (1.0 - weight) * of_human)
 
 
@@ -314,23 +301,22 @@ class LimitCycle(SteadyRanges):
         """
         from trustlab.allocation.simulation import simulate_allocation
 
-        model, robot = self.model, self.model.robot
+        model = self.model
         axes = axes_or_new(figsize=(7, 4.2))
         r = np.linspace(0.0, 1.0, 300)
-        p_h = model.human.performance(r)
         for threshold, label in (
             (self.lower, "manual below $TSC_l$"),
             (self.upper, "autonomous above $TSC_u$"),
         ):
-            p_r = (threshold + model.b_T * p_h) / model.a_T
+            p_r = (threshold + model.b_T * model.human.performance(r)) / model.a_T
             axes.plot(r, p_r, "--", label=f"{label} = {threshold:g}")
         settled = longest_phase(model)
         run = simulate_allocation(model, self.lower, self.upper, 2 * settled, r0=0.1)
-        first, last = run.iloc[: settled // 2], run.iloc[settled:]
-        axes.plot(first["r"], first["p_r"], lw=0.6, label="from near rest")
+        axes.plot("r", "p_r", data=run.iloc[: settled // 2], lw=0.6, label="from near rest")
         if self.exists:
-            axes.plot(last["r"], last["p_r"], lw=2.5, color="k", label="steady cycle")
-        ends = robot.p_min, robot.p_max
+            last = run.iloc[settled:]
+            axes.plot("r", "p_r", data=last, lw=2.5, color="k", label="steady cycle")
+        ends = model.robot.p_min, model.robot.p_max
         axes.set(xlabel="utilization r", ylabel="robot performance $P_r$", ylim=ends)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
         return axes
@@ -379,21 +365,20 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
     motions = from_both_starts([tsc], (lower, upper), ALONE)[:, 0, 0]
     motions = motions[~np.isnan(motions[:, R, LOW])]
     endless = endless_phase(tsc, lower, upper)
-    always = len(motions) == 2 and not endless
-    pair: Any = {"model": tsc, "lower": lower, "upper": upper, "always": always}
+    pair: Any = {"model": tsc, "lower": lower, "upper": upper}
     if len(motions) == 0:
         return LimitCycle(exists=False, reason=endless, **pair)
     reason = "keeps switching" + (f"; but {endless}" if endless else "")
     if np.ptp(motions[:, R, :MEAN], axis=0).max() > COEXIST:
         reason += "; from rest it settles to another motion than from β, and ranges enclose both"
-    mean = motions[0, :, MEAN]
     rows = np.column_stack([motions[:, :, LOW].min(axis=0), motions[:, :, HIGH].max(axis=0)])
     return LimitCycle(
         exists=True,
+        always=len(motions) == 2 and not endless,
         reason=reason,
         encloses_beta=bool(encloses_beta(motions, [tsc]).all()),
-        mean_r=float(mean[R]),
-        mean_p_r=float(mean[P_R]),
+        mean_r=float(motions[0, R, MEAN]),
+        mean_p_r=float(motions[0, P_R, MEAN]),
         **pair,
         **ends(
             r=rows[R],

@@ -1,19 +1,22 @@
 """Choosing thresholds by Algorithm 1: for a model, a fit of one, or a posterior."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from trustlab.allocation.invariant import InvariantBounds, invariant_bounds
-from trustlab.allocation.limits import ThresholdLimits, threshold_limits
+from trustlab.allocation.limits import ThresholdLimits, limits_as_printed, threshold_limits
 from trustlab.allocation.steady import (
+    EXACT,
     HIGH,
     LOW,
     MEAN,
     P_R,
+    SCREEN,
     LimitCycle,
     R,
     encloses_beta,
@@ -21,6 +24,7 @@ from trustlab.allocation.steady import (
     grid_of_pairs,
     limit_cycle,
     points as points_of,
+    stacked,
     survey,
 )
 from trustlab.identification.posterior.density import SHARED, physical
@@ -28,8 +32,8 @@ from trustlab.identification.posterior.result import Posterior, tsc_models
 from trustlab.identification.result import FitResult
 from trustlab.models.checks import (
     between,
-    finite_number,
     flag,
+    not_negative,
     of_class,
     one_of,
     open_unit,
@@ -39,11 +43,13 @@ from trustlab.models.checks import (
 from trustlab.models.display import Result, axes_or_new
 from trustlab.models.tsc import TscModel
 
-# Draws of a posterior by which pairs are screened, with how much effort (`survey`), and pairs that
-# are then followed sample by sample, with all draws, until one keeps its promise.
-SCREENED = 300
-EFFORT = 3e6
+# Draws of a posterior by which pairs are screened, and pairs that are then followed with all draws
+# until one keeps its promise.
+SCREENED = 150
 FOLLOWED = 6
+
+# How many of the best pairs are looked at under more data.
+NEAREST = 20
 
 # Draws of a posterior over which a table gives medians, and the ends of its intervals.
 DRAWS = 200
@@ -51,6 +57,9 @@ ENDS = {"": 0.5, "_ci_low": 0.025, "_ci_high": 0.975}
 
 # How many times as much data are considered where no pair is probable enough.
 LONGER = (2, 4, 8, 16)
+
+COLUMNS = ["lower", "upper", "p_switches", "p_encloses", "mean_r", "p_r_high", "mean_p_r"]
+COLUMNS += ["objective", "off_beta"]
 
 OBJECTIVES = {"peak": "highest robot performance", "mean": "greatest mean robot performance"}
 
@@ -80,7 +89,8 @@ class ThresholdChoice(Result):
         TSC_lb and TSC_ub that the search kept to, medians over a posterior's draws.
     candidates : pandas.DataFrame
         All pairs that were tried: lower, upper, p_switches, p_encloses, and means over the models
-        that keep switching of mean_r, p_r_high, mean_p_r and objective.
+        that keep switching of mean_r, p_r_high, mean_p_r, objective and off_beta, how far
+        utilization stays from β; negative where it encloses β.
     tsc : TscModel or Posterior
         What they were chosen for; of a fit its model.
     """
@@ -128,8 +138,8 @@ class ThresholdChoice(Result):
             return self.candidates
         if isinstance(self.tsc, TscModel):
             return self.cycle.table()
-        models = self.tsc.models[:DRAWS]
-        motions = pd.concat([limit_cycle(tsc, self.lower, self.upper).table() for tsc in models])
+        pair, models = (self.lower, self.upper), self.tsc.models[:DRAWS]
+        motions = pd.concat([limit_cycle(tsc, *pair).table() for tsc in models])
         parts = motions.groupby(level=0, sort=False)
         quantiles = {
             f"{name}{end}": parts[name].quantile(level)
@@ -147,16 +157,16 @@ class ThresholdChoice(Result):
         numpy.ndarray of matplotlib.axes.Axes, shape (2,)
         """
         axes = axes_or_new(columns=2, sharey=True, figsize=(7.8, 3.8))
-        for axis, name, title, ends in (
-            (axes[0], "p_encloses", "probability of switching around β", (0.0, 1.0)),
-            (axes[1], "mean_p_r", "mean robot performance", (None, None)),
-        ):
-            style = {"s": 14, "marker": "s", "vmin": ends[0], "vmax": ends[1]}
+        titles = {
+            "p_encloses": "probability of switching around β",
+            "mean_p_r": "mean robot performance",
+        }
+        for axis, (name, title) in zip(axes, titles.items(), strict=True):
+            style = {"s": 14, "marker": "s"}
             shown = axis.scatter("lower", "upper", c=name, data=self.candidates, **style)
             axis.figure.colorbar(shown, ax=axis)
             axis.plot(self.lower, self.upper, "*", ms=14, color="C1", mec="k")
             axis.set(xlabel="lower threshold $TSC_l$", title=title)
-            axis.margins(0.08)
         axes[0].set_ylabel("upper threshold $TSC_u$")
         return axes
 
@@ -168,7 +178,7 @@ def choose_thresholds(
     points: int | None = None,
     objective: str | float = "peak",
     confidence: float | None = None,
-    enclose_beta: bool = True,
+    enclose_beta: bool | None = None,
 ) -> ThresholdChoice:
     """
     Choose thresholds by Algorithm 1: utilization encloses β, performance is near its best.
@@ -186,8 +196,8 @@ def choose_thresholds(
         δ_Ph of the limits of Theorem 1 that the search keeps to. 0 takes them as TSC settles;
         whether a pair keeps switching is then seen from its motion.
     margin : float, optional
-        Distance to keep from either limit, as a share of TSC_ub − TSC_lb, in (0, 0.5); 0.1, and
-        0.03 for a posterior, whose probability says what is safe, when not given.
+        Distance to keep from either limit, as a share of TSC_ub − TSC_lb, from 0.001 to 0.49; 0.1,
+        and 0.03 for a posterior, whose probability says what is safe, when not given.
     points : int, optional
         Grid points along each threshold, 4 to 500; 24, and 14 for a posterior, when not given.
     objective : {"peak", "mean"} or float
@@ -198,8 +208,9 @@ def choose_thresholds(
     confidence : float, optional
         For a posterior alone: the probability that a pair must have to be offered, in (0, 1); 0.95
         when not given.
-    enclose_beta : bool
-        Whether the steady utilization must enclose β; if not, the rule must keep switching.
+    enclose_beta : bool, optional
+        Whether the steady utilization must enclose β, as it must when not given; if not, the rule
+        must keep switching.
 
     Returns
     -------
@@ -213,7 +224,8 @@ def choose_thresholds(
     Warns
     -----
     UserWarning
-        If nothing is offered, or `success` of a fit is False; with the message.
+        If nothing is offered, utilization does not enclose β, or `success` of a fit is False; with
+        the message.
 
     Notes
     -----
@@ -229,16 +241,14 @@ def choose_thresholds(
     (-0.057, 0.439, 1.0)
     """
     of_posterior = isinstance(tsc, Posterior)
-    share = finite_number("margin", (0.03 if of_posterior else 0.1) if margin is None else margin)
-    if not 0.0 < share < 0.5:
-        raise ValueError(f"margin must lie in (0, 0.5), got {margin}")
-    count = (14 if of_posterior else 24) if points is None else points
-    count = whole_number("points", count, least=4, most=500)
+    share, count = (0.03, 14) if of_posterior else (0.1, 24)
+    share = between("margin", share if margin is None else margin, 0.001, 0.49)
+    count = whole_number("points", count if points is None else points, least=4, most=500)
     if isinstance(objective, str):
         one_of("objective", objective, OBJECTIVES, "a weight in [0, 1]")
     else:
         between("objective", objective, 0.0, 1.0)
-    flag("enclose_beta", enclose_beta)
+    enclose = enclose_beta is None or flag("enclose_beta", enclose_beta)
     if confidence is not None and not of_posterior:
         raise ValueError(
             f"confidence = {confidence} would do nothing: of one model a pair keeps switching or "
@@ -247,181 +257,169 @@ def choose_thresholds(
     asked = 0.95 if confidence is None else open_unit("confidence", confidence)
     source: Any = tsc.model if isinstance(tsc, FitResult) else tsc
     models = source.models if of_posterior else [of_class("tsc", source, TscModel)]
-    limits = _limits_of(models, delta_p_h)
-    if limits.feasible:
-        margin = share * (limits.upper - limits.lower)
-        pairs = grid_of_pairs(limits.lower + margin, limits.upper - margin, count)
-        search = _Search(models, pairs, objective, asked, enclose_beta)
-        choice = search.choice(source, limits, isinstance(tsc, FitResult))
-    else:
-        reason = _no_room(models, limits)
-        nothing = pd.DataFrame(columns=COLUMNS, dtype=float)
-        words = f"No thresholds: {reason}", reason
-        choice = ThresholdChoice(np.nan, np.nan, np.nan, False, *words, limits, nothing, source)
-    doubt = ""
-    if isinstance(tsc, FitResult) and not tsc.success:
-        doubt = (
-            f"The fit has success = False: {tsc.message} With posterior = "
-            "trustlab.sample_posterior(sessions), choose_thresholds(posterior) offers thresholds "
-            "with a probability, or says what to record. "
-        )
-    choice = replace(choice, message=doubt + choice.message)
-    if choice.reason or doubt:
-        warn(choice.message)
-    return choice
+    limits, reason = _room(models, not_negative("delta_p_h", delta_p_h))
+    lower = upper = probability = np.nan
+    message, around, table = "", 0.0, pd.DataFrame(columns=COLUMNS, dtype=float)
+    if not reason:
+        off = share * (limits.upper - limits.lower)
+        pairs = grid_of_pairs(limits.lower + off, limits.upper - off, count)
+        table = _screened(models[:SCREENED], pairs, objective)
+        order = _order(table, asked, enclose)
+        lower, upper, probability, around = _followed(models, pairs[order], asked, enclose)
+        around_beta = "keeps switching around β" if enclose else "keeps switching"
+        if probability < asked:
+            reason = f"no pair between {pairs.min():.3f} and {pairs.max():.3f} {around_beta}"
+            if of_posterior:
+                reason += f" with probability {asked:g}; the nearest does with {probability:.2f}. "
+                reason += _what_would_help(source, pairs[order[:NEAREST]], asked, enclose)
+            elif enclose:
+                reason += _nearest(limit_cycle(source, lower, upper))
+        else:
+            sure = "for exactly this model"
+            if of_posterior:
+                sure = f"with probability {probability:.2f} (asked for: {asked:g})"
+            elif isinstance(tsc, FitResult):
+                sure = "for the estimate alone (trustlab.sample_posterior gives a probability)"
+            best = OBJECTIVES.get(str(objective), "greatest weighted performance")
+            message = (
+                f"Thresholds {lower:.3f} and {upper:.3f}: the rule {around_beta} {sure}; of the "
+                f"pairs that do they reach the {best}. Limits: {limits.message}."
+            )
+            message += _beside_theorem_1(models, lower, upper)
+            if around < asked:
+                message += " Utilization does not enclose β."
+    if reason:
+        message = f"No thresholds: {reason}"
+    if isinstance(tsc, FitResult):
+        probability, message = np.nan, _doubt(tsc) + message
+    if around < asked or (isinstance(tsc, FitResult) and not tsc.success):
+        warn(message)
+    decided = lower, upper, probability, bool(around >= asked), message, reason
+    return ThresholdChoice(*decided, limits, table, source)
+
+
+def _doubt(fit: FitResult) -> str:
+    """Say first that a fit is not to be used, where it is not."""
+    if fit.success:
+        return ""
+    return (
+        f"The fit has success = False: {fit.message} With posterior = "
+        "trustlab.sample_posterior(sessions), choose_thresholds(posterior) offers thresholds with "
+        "a probability, or says what to record. "
+    )
+
+
+def _nearest(cycle: LimitCycle) -> str:
+    """Say how near the nearest pair comes to β, and what may help."""
+    return (
+        f" = {cycle.model.human.beta:.3g}; under the nearest utilization stays within "
+        f"{cycle.r_low:.3f} to {cycle.r_high:.3f}. A smaller margin may come nearer, a wider range "
+        "of robot performance moves the limits apart, and enclose_beta=False asks for switching "
+        "only."
+    )
+
+
+def _beside_theorem_1(models: list[TscModel], lower: float, upper: float) -> str:
+    """Say where a model's own δ_Ph leaves the pair outside the limits of Theorem 1."""
+    own = threshold_limits(models[0], None)
+    if len(models) > 1 or own.contains(lower, upper):
+        return ""
+    return (
+        f" Theorem 1 does not cover the pair at the model's own δ_Ph: {own.message}; that it "
+        "keeps switching is seen from its motion."
+    )
 
 
 # --- the search -----------------------------------------------------------------------------------
 
-COLUMNS = (
-    *("lower", "upper", "p_switches", "p_encloses"),
-    *("mean_r", "p_r_high", "mean_p_r", "objective"),
-)
+
+def _holds(motions: np.ndarray, models: list[TscModel], enclose: bool) -> np.ndarray:
+    """Return whether models do what is asked, by model and pair."""
+    return encloses_beta(motions, models) if enclose else ~np.isnan(motions[..., R, LOW])
 
 
-class _Search:
-    """Pairs of thresholds, and what models do under them."""
+def _screened(models: list[TscModel], pairs: np.ndarray, objective: str | float) -> pd.DataFrame:
+    """Return means over models of what pairs of thresholds lead to."""
+    motions = survey(models, pairs, SCREEN if len(models) > 1 else EXACT)
+    beta = stacked(models).beta
+    value = motions[..., P_R, HIGH]
+    if objective != "peak":
+        value = points_of(motions, models, 1.0 if objective == "mean" else float(objective))
+    columns = {
+        "p_switches": _holds(motions, models, False),
+        "p_encloses": _holds(motions, models, True),
+        "mean_r": motions[..., R, MEAN],
+        "p_r_high": motions[..., P_R, HIGH],
+        "mean_p_r": motions[..., P_R, MEAN],
+        "objective": value,
+        "off_beta": np.maximum(motions[..., R, LOW] - beta, beta - motions[..., R, HIGH]),
+    }
+    means = {name: pd.DataFrame(values).mean() for name, values in columns.items()}
+    return pd.DataFrame({"lower": pairs[:, 0], "upper": pairs[:, 1], **means})
 
-    def __init__(
-        self,
-        models: list[TscModel],
-        pairs: np.ndarray,
-        objective: str | float,
-        asked: float,
-        enclose: bool,
-    ):
-        self.models, self.pairs = models, pairs
-        self.asked, self.enclose = asked, enclose
-        self.best = OBJECTIVES.get(str(objective), "greatest weighted performance")
-        self.condition = "keeps switching around β" if enclose else "keeps switching"
-        some = models[:SCREENED]
-        motions = survey(some, pairs, EFFORT)
-        beta = np.array([tsc.human.beta for tsc in some])[:, None]
-        r_low, r_high, _ = motions[:, :, R].T.swapaxes(1, 2)
-        self.apart = _expected(np.maximum(np.maximum(r_low - beta, beta - r_high), 0.0))
-        value = peak = _expected(motions[:, :, P_R, HIGH])
-        if objective != "peak":
-            weight = 1.0 if objective == "mean" else float(objective)
-            value = _expected(points_of(motions, some, weight))
-        shares = (~np.isnan(r_low)).mean(axis=0), encloses_beta(motions, some).mean(axis=0)
-        mean_r, mean_p_r = (_expected(motions[:, :, row, MEAN]) for row in (R, P_R))
-        columns = *pairs.T, *shares, mean_r, peak, mean_p_r, value
-        self.table = pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)))
 
-    def holds(self, motions: np.ndarray, models: list[TscModel]) -> np.ndarray:
-        """Return whether models do what is asked, by model and pair."""
-        return encloses_beta(motions, models) if self.enclose else ~np.isnan(motions[..., R, LOW])
+def _order(table: pd.DataFrame, asked: float, enclose: bool) -> np.ndarray:
+    """Return which pairs are best: those that do what is asked, else those nearest to it."""
+    share = table["p_encloses" if enclose else "p_switches"]
+    able = share >= asked
+    first = table["objective"].where(able, share)
+    second = table["mean_p_r"].where(able, -table["off_beta"])
+    return np.lexsort((-second, -first, ~able))
 
-    def choice(self, source: Any, limits: ThresholdLimits, of_fit: bool) -> ThresholdChoice:
-        """
-        Return the best pair that does what is asked, or the nearest and why it is not offered;
-        decided sample by sample, from β and from rest, for all models.
-        """
-        share = self.table["p_encloses" if self.enclose else "p_switches"]
-        able = share >= self.asked
-        first = np.where(able, self.table["objective"], share)
-        second = np.where(able, self.table["mean_p_r"], -self.apart)
-        order = np.lexsort((-second, -first, ~able))
-        probability = -1.0
-        for k in order[: FOLLOWED if able.any() else 1]:
-            motions = from_both_starts(self.models, self.pairs[k])
-            holds = self.holds(motions, self.models).all(axis=0).mean()
-            if holds > probability:
-                probability, (lower, upper) = float(holds), self.pairs[k].tolist()
-                around = encloses_beta(motions, self.models).all(axis=0).mean()
-                r_low, r_high, _ = motions[0, 0, 0, R]
-            if probability >= self.asked:
-                break
-        reason = ""
-        if probability < self.asked:
-            low, high = self.pairs.min(), self.pairs.max()
-            reason = f"no pair between {low:.3f} and {high:.3f} {self.condition}"
-            if not isinstance(source, TscModel):
-                reason += (
-                    f" with probability {self.asked:g}; the nearest does with {probability:.2f}. "
-                    + self._what_would_help(source)
-                )
-            elif self.enclose:
-                reason += (
-                    f" = {source.human.beta:.3g}; under the nearest utilization stays within "
-                    f"{r_low:.3f} to {r_high:.3f}. A smaller margin may come nearer, a wider range "
-                    "of robot performance moves the limits apart, and enclose_beta=False asks for "
-                    "switching only."
-                )
-        message = f"No thresholds: {reason}"
-        if not reason:
-            sure = "for exactly this model"
-            if not isinstance(source, TscModel):
-                sure = f"with probability {probability:.2f} (asked for: {self.asked:g})"
-            elif of_fit:
-                sure = "for the estimate alone (trustlab.sample_posterior gives a probability)"
-            message = (
-                f"Thresholds {lower:.3f} and {upper:.3f}: the rule {self.condition} {sure}; of the "
-                f"pairs that do they reach the {self.best}. Limits: {limits.message}."
-                + self._beside_theorem_1(lower, upper)
-            )
-        probability = np.nan if of_fit else probability
-        words = message, reason
-        encloses = bool(around >= self.asked)
-        return ThresholdChoice(
-            lower, upper, probability, encloses, *words, limits, self.table, source
+
+def _followed(
+    models: list[TscModel], pairs: np.ndarray, asked: float, enclose: bool
+) -> tuple[float, float, float, float]:
+    """
+    Return the first pair that does what is asked, else the most probable, how probable that is, and
+    that utilization encloses β; decided sample by sample, from β and from rest, for all models.
+    """
+    tried = []
+    for lower, upper in pairs[:FOLLOWED].tolist():
+        motions = from_both_starts(models, (lower, upper))
+        holds, around = (
+            float(_holds(motions, models, each).all(axis=0).mean()) for each in (enclose, True)
         )
-
-    def _beside_theorem_1(self, lower: float, upper: float) -> str:
-        """Say where a model's own δ_Ph leaves the pair outside the limits of Theorem 1."""
-        own = threshold_limits(self.models[0], None)
-        if len(self.models) > 1 or own.contains(lower, upper):
-            return ""
-        return (
-            f" Theorem 1 does not cover the pair at the model's own δ_Ph: {own.message}; that it "
-            "keeps switching is seen from its motion."
-        )
-
-    def _what_would_help(self, posterior: Posterior) -> str:
-        """Say how much longer to record, as if draws came nearer to their mean."""
-        blocks = posterior.target.blocks
-        minutes = blocks.measured.shape[1] * blocks.samples * blocks.step / 60.0
-        thetas = posterior.thetas[:SCREENED]
-        apart = (thetas - thetas.mean(axis=0))[:, :SHARED]
-        for times in LONGER:
-            nearer = thetas.copy()
-            nearer[:, :SHARED] -= (1.0 - times**-0.5) * apart
-            models = tsc_models(physical(nearer, 0.1))
-            holds = self.holds(survey(models, self.pairs, EFFORT), models)
-            if holds.mean(axis=0).max() >= self.asked:
-                return f"Record about {times} times as much: {minutes * times:.0f} minutes."
-        return (
-            f"More than {LONGER[-1]} times these {minutes:.0f} minutes would be needed: record "
-            "phases that take utilization to both sides of β, or widen the range of robot "
-            "performance."
-        )
+        tried.append((lower, upper, holds, around))
+        if holds >= asked:
+            break
+    return max(tried, key=itemgetter(2))
 
 
-def _expected(values: np.ndarray) -> np.ndarray:
-    """Return means over the models that keep switching; NaN where none does."""
-    return pd.DataFrame(values).mean().to_numpy()
+def _what_would_help(posterior: Posterior, pairs: np.ndarray, asked: float, enclose: bool) -> str:
+    """Say how much longer to record, as if draws came nearer to their mean."""
+    blocks = posterior.target.blocks
+    minutes = blocks.measured.shape[1] * blocks.samples * blocks.step / 60.0
+    thetas = posterior.thetas[:SCREENED]
+    apart = (thetas - thetas.mean(axis=0))[:, :SHARED]
+    for times in LONGER:
+        nearer = thetas.copy()
+        nearer[:, :SHARED] -= (1.0 - times**-0.5) * apart
+        models = tsc_models(physical(nearer, 0.1))
+        holds = _holds(survey(models, pairs, SCREEN), models, enclose)
+        if holds.mean(axis=0).max() >= asked:
+            return f"Record about {times} times as much: {minutes * times:.0f} minutes."
+    return (
+        f"More than {LONGER[-1]} times these {minutes:.0f} minutes would be needed: record phases "
+        "that take utilization to both sides of β, or widen the range of robot performance."
+    )
 
 
-# --- limits ---------------------------------------------------------------------------------------
-
-
-def _limits_of(models: list[TscModel], delta_p_h: float) -> ThresholdLimits:
-    """Return the limits of a model, or the medians of several."""
-    limits = [threshold_limits(tsc, delta_p_h) for tsc in models[:SCREENED]]
-    ends = [(each.lower, each.upper, each.delta_p_h) for each in limits]
-    return ThresholdLimits(*np.median(ends, axis=0).tolist())
-
-
-def _no_room(models: list[TscModel], limits: ThresholdLimits) -> str:
-    """Say that Theorem 1 leaves no room, and what would make some."""
-    some = models[:SCREENED]
-    delta, settled = limits.delta_p_h, _limits_of(models, 0.0)
-    share = np.mean([threshold_limits(tsc, delta).feasible for tsc in some])
+def _room(models: list[TscModel], delta: float) -> tuple[ThresholdLimits, str]:
+    """Return the limits, medians over the models, and why they leave no room, if they do."""
+    c = stacked(models)
+    ends = limits_as_printed(c, delta)
+    lower, upper = (float(np.median(end)) for end in ends)
+    limits = ThresholdLimits(lower, upper, delta)
+    if limits.feasible:
+        return limits, ""
+    share = (ends[0] < ends[1]).mean()
     known = "no recording of this robot and operator can help"
     if share > 0.05:
         known = f"there is room in {share:.0%} of the draws, so that more data may show some"
-    smaller = f", or take a smaller δ_Ph than {delta:.3g}" if settled.feasible else ""
-    return (
+    least, most = map(np.median, limits_as_printed(c, 0.0))
+    smaller = f", or take a smaller δ_Ph than {delta:.3g}" if least < most else ""
+    return limits, (
         f"Theorem 1 leaves no room at δ_Ph = {delta:.3g}: TSC_ub = {limits.upper:.4f} does not "
         f"exceed TSC_lb = {limits.lower:.4f} (Remark 4); {known}. Remedy: widen the range of robot "
         f"performance (p_max − p_min){smaller}."
