@@ -21,13 +21,12 @@ from trustlab.studies.anova import Design, effect_name, partial_eta_interval, su
 from trustlab.studies.pairs import compared, estimates_of, level_pairs
 from trustlab.studies.table import (
     Tested,
-    column_of,
+    label_column,
     labelled,
     mark,
     origin_of,
     read_cells,
     read_factors,
-    refuse_missing_labels,
 )
 from trustlab.studies.words import effect_text
 
@@ -50,7 +49,6 @@ class RandomIntercepts:
     """Scores by participant: a column, named by an argument, says whose each row is."""
 
     def __init__(self, argument: str, people: pd.Series):
-        refuse_missing_labels(people, argument)
         self.codes = pd.factorize(people)[0]
         self.counts = np.bincount(self.codes)
         if self.counts.size < 3:
@@ -133,8 +131,6 @@ class MixedModel(Tested):
         Index cell; columns mean, se, ci_low, ci_high (95 %, t with the least df2).
     covariance : numpy.ndarray, shape (cells, cells)
         Of the means.
-    origin : str
-        What kind of data these are where they were not measured; else empty.
     """
 
     dv: Hashable
@@ -143,7 +139,6 @@ class MixedModel(Tested):
     tests: pd.DataFrame
     means: pd.DataFrame
     covariance: np.ndarray
-    origin: str
     title = "Mixed model, random intercept per subject"
 
     def pairs(self, factor: Hashable = None, at: Hashable = None) -> pd.DataFrame:
@@ -243,13 +238,12 @@ def mixed_model(
     factors = groups | levels
     table = read_cells(frame, dv, factors, subject)
     combinations = int(np.prod([len(levels) for levels in groups.values()]))
-    there = ~np.isnan(table.values)
-    if not there.any(axis=0).all():
-        cell = table.conditions[np.argmin(there.any(axis=0))]
-        raise ValueError(f"within: no subject has a score in cell {cell!r} of {table.within}")
+    there = table.notna().to_numpy()
+    for cell in table.columns[~there.any(axis=0)]:
+        raise ValueError(f"within: no subject has a score in cell {cell!r} of {[*factors]}")
     person, cell = np.nonzero(there)
-    y, x = table.values[person, cell], np.eye(len(table.conditions))[cell]
-    model = RandomIntercepts("subject", pd.Series(person, name=table.subject))
+    y, x = table.to_numpy()[person, cell], np.eye(table.shape[1])[cell]
+    model = RandomIntercepts("subject", pd.Series(person, name=subject))
     fit = model.fit(y, x, restricted=True)
     n = model.counts.size
     between_df, within_df = n - combinations, y.size - n - x.shape[1] + combinations
@@ -276,18 +270,18 @@ def mixed_model(
     )
     covariance = fit.residual * fit.inverse
     means = estimates_of(fit.beta, np.sqrt(np.diag(covariance)), tests["df2"].min())
-    means.index = pd.Index(map(str, table.conditions), name="condition")
+    means.index = pd.Index(map(str, table.columns), name="condition")
     if len(factors) > 1:
-        means.index = [effect_name((), levels) for levels in table.conditions]
+        means.index = [effect_name((), levels) for levels in table.columns]
     means = means.rename(columns={"estimate": "mean"})[["mean", "se", "ci_low", "ci_high"]]
+    origin = table.attrs.get("origin", "")
     return MixedModel(
-        dv=table.dv,
+        dv=dv,
         factors=factors,
         between=[*groups],
-        tests=labelled(tests, table.origin),
-        means=labelled(means, table.origin),
+        tests=labelled(tests, origin),
+        means=labelled(means, origin),
         covariance=covariance,
-        origin=table.origin,
     )
 
 
@@ -313,8 +307,6 @@ class FormulaModel(Tested):
         Maximum of the restricted likelihood.
     log_likelihood : float
         Maximum of the likelihood (not restricted), with all its constants.
-    origin : str
-        What kind of data these are where they were not measured; else empty.
     """
 
     formula: str
@@ -325,7 +317,6 @@ class FormulaModel(Tested):
     coefficients: pd.DataFrame
     fit: InterceptFit
     log_likelihood: float
-    origin: str
 
     @property
     def title(self) -> str:
@@ -403,7 +394,7 @@ def formula_model(formula: str, data: pd.DataFrame, groups: Hashable) -> Formula
     frame = of_class("data", data, pd.DataFrame, "with a row per trial").reset_index(drop=True)
     if formula.count("~") != 1:
         raise ValueError(f"formula must be “score ~ terms”, got {formula!r}")
-    model = RandomIntercepts("groups", column_of(frame, "groups", groups))
+    model = RandomIntercepts("groups", label_column(frame, "groups", groups))
     y, regressors, terms = matrices_of(formula, frame)
     x = regressors.to_numpy()
     origin = origin_of(data)
@@ -422,7 +413,6 @@ def formula_model(formula: str, data: pd.DataFrame, groups: Hashable) -> Formula
         coefficients=labelled(coefficients, origin),
         fit=fit,
         log_likelihood=log_likelihood(columns),
-        origin=origin,
     )
 
 

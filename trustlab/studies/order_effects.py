@@ -10,13 +10,11 @@ from scipy import special
 
 from trustlab.studies.pairs import estimates_of, holm
 from trustlab.studies.table import (
-    ScoreTable,
     Tested,
-    column_of,
     complete_scores,
     labelled,
-    levels_of,
-    read_scores,
+    read_cells,
+    read_factors,
 )
 
 
@@ -27,29 +25,24 @@ class OrderEffects(Tested):
 
     Parameters
     ----------
-    scores : ScoreTable
-        What was analysed, subjects × positions.
-    tests, differences : pandas.DataFrame
-        What `table` and `pairs` return.
+    dv : hashable
+        Column analysed.
+    scores : pandas.DataFrame
+        What was analysed: a row per subject, a column per position.
+    tests : pandas.DataFrame
+        What `table` returns: the tests, each effect adjusted for all others within subjects;
+        sequences are compared between subjects. Rows sequence, position, condition, carry_over and
+        condition_without_carry_over (condition adjusted for position only); columns effect, ss,
+        df1, df2, F, p, note. NaN where the orders do not separate an effect from others; the note
+        says so.
+    differences : pandas.DataFrame
+        What `pairs` returns.
     """
 
-    scores: ScoreTable
+    dv: Hashable
+    scores: pd.DataFrame
     tests: pd.DataFrame
     differences: pd.DataFrame
-
-    def table(self) -> pd.DataFrame:
-        """
-        Return the tests, each effect adjusted for all others within subjects; sequences are
-        compared between subjects.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Rows sequence, position, condition, carry_over and condition_without_carry_over
-            (condition adjusted for position only); columns effect, ss, df1, df2, F, p, note. NaN
-            where the orders do not separate an effect from others; the note says so.
-        """
-        return super().table()
 
     def pairs(self) -> pd.DataFrame:
         """
@@ -66,12 +59,12 @@ class OrderEffects(Tested):
     @property
     def title(self) -> str:
         """What was analysed."""
-        return f"Order effects on {self.scores.dv}"
+        return f"Order effects on {self.dv}"
 
     @property
     def message(self) -> str:
         """Which data."""
-        return f"{self.scores.origin} {len(self.scores.subjects)} subjects".strip()
+        return f"{self.origin} {len(self.scores)} subjects".strip()
 
 
 def order_effects(
@@ -126,20 +119,22 @@ def order_effects(
     3                    carry_over    4   28
     4  condition_without_carry_over    4   32
     """
-    scores = complete_scores(read_scores(frame, dv, position, subject))[0]
-    n, k = scores.values.shape
-    if list(scores.conditions) != list(range(1, k + 1)):
-        raise ValueError(
-            f"position: column {position!r} must hold 1 to {k}, got {list(scores.conditions)}"
-        )
-    labels = levels_of(column_of(frame, "condition", condition), "condition", order)
-    rows = frame.set_index([subject, position]).loc[[*product(scores.subjects, scores.conditions)]]
-    codes = rows[condition].map(labels.index).to_numpy(int).reshape(n, k)
+    names = None if order is None else {condition: order}
+    levels, _ = read_factors(frame, dv, [position, condition], subject, order=names)
+    labels, places = levels[condition], levels[position]
+    cells = read_cells(frame, dv, {position: places}, subject)
+    scores = complete_scores(cells, dv)[0]
+    n, k = scores.shape
+    if list(places) != list(range(1, k + 1)):
+        raise ValueError(f"position: column {position!r} must hold 1 to {k}, got {list(places)}")
+    rows = frame.set_index([subject, position])[condition].loc[[*product(scores.index, places)]]
+    codes = np.reshape([*map(labels.index, rows.tolist())], (n, k))
     sequences = pd.Series([*codes.astype(str)]).map(" ".join)
-    y = (scores.values - scores.values.mean()).ravel()
+    values = scores.to_numpy()
+    y = (values - values.mean()).ravel()
     full = _within_subjects(codes, len(labels))
     error, df = _residual(y, full)
-    if error <= y.size * (4.0 * np.finfo(float).eps * np.abs(scores.values).max()) ** 2:
+    if error <= y.size * (4.0 * np.finfo(float).eps * np.abs(values).max()) ** 2:
         raise ValueError(f"dv: {y.size} scores leave no error variance beside all effects")
     between = {"mean": np.ones((n, 1)), "sequence": pd.get_dummies(sequences).to_numpy(float)}
     direct = {name: x for name, x in full.items() if name != "carry_over"}
@@ -151,7 +146,8 @@ def order_effects(
     table = pd.DataFrame(tests, columns=["effect", "ss", "df1", "df2", "F", "p", "note"])
     separable = y.size - df == n + k - 1 + 2 * (len(labels) - 1)
     pairs = _differences(y, full if separable else direct, labels)
-    return OrderEffects(scores, labelled(table, scores.origin), labelled(pairs, scores.origin))
+    origin = scores.attrs.get("origin", "")
+    return OrderEffects(dv, scores, labelled(table, origin), labelled(pairs, origin))
 
 
 def _within_subjects(codes: np.ndarray, count: int) -> dict[str, np.ndarray]:

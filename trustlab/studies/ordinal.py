@@ -26,11 +26,11 @@ from trustlab.studies.pairs import estimates_of, holm
 from trustlab.studies.table import (
     Tested,
     column_of,
+    label_column,
     labelled,
     mark,
     origin_of,
     read_factors,
-    refuse_missing_labels,
 )
 from trustlab.studies.words import apa_number, apa_p, interval
 
@@ -179,8 +179,6 @@ class OrdinalModel(Tested):
         Names of the coefficients.
     cells : pandas.DataFrame
         Regressors of every cell of the factors, covariates at their means.
-    origin : str
-        What kind of data these are where they were not measured; else empty.
     """
 
     dv: Hashable
@@ -192,7 +190,6 @@ class OrdinalModel(Tested):
     log_likelihood: float
     names: list[str]
     cells: pd.DataFrame
-    origin: str
 
     @property
     def title(self) -> str:
@@ -369,11 +366,10 @@ def ordinal_model(
     """
     of_class("frame", frame, pd.DataFrame, "with a row per rating")
     data = frame.reset_index(drop=True)
-    refuse_missing_labels(column_of(data, "subject", subject), "subject")
-    codes, people = pd.factorize(data[subject])
+    codes, people = pd.factorize(label_column(data, "subject", subject))
     if len(people) < 3:
         raise ValueError(f"subject: column {subject!r} has {len(people)} people; at least 3 needed")
-    answers, categories = _categories(column_of(data, "dv", dv))
+    answers, categories = _categories(label_column(data, "dv", dv))
     inside, groups = read_factors(data, dv, within, subject, between, order)
     factors = groups | inside
     for name, levels in factors.items():
@@ -409,13 +405,11 @@ def ordinal_model(
         log_likelihood=log_likelihood(columns),
         names=[*regressors],
         cells=cells,
-        origin=origin,
     )
 
 
 def _categories(column: pd.Series) -> tuple[np.ndarray, list]:
     """Return the number of every answer's category, and the categories that occur, ascending."""
-    refuse_missing_labels(column, "dv")
     ordered = isinstance(column.dtype, pd.CategoricalDtype) and column.cat.ordered
     if not ordered and not pd.api.types.is_numeric_dtype(column):
         raise ValueError(

@@ -8,7 +8,7 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import one_of, open_unit, positive
-from trustlab.studies.pairs import differences, holm, normality_of_differences, rank_pairs
+from trustlab.studies.pairs import holm, normality_of_differences, rank_pairs, subject_differences
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.table import Tested, labelled
 from trustlab.studies.words import apa_pair
@@ -109,25 +109,25 @@ def paired_t_test(
     0           -0.467 -2.646   2  0.118
     """
     result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
-    scores = result.scores
+    values = result.scores.to_numpy()
     if result.k != 2:
         raise ValueError(
-            f"within: column {within!r} has {result.k} conditions, {list(scores.conditions)}; a "
+            f"within: column {within!r} has {result.k} conditions, {[*result.conditions]}; a "
             "paired t-test compares two. Select their rows, or use repeated_measures"
         )
-    a, b = scores.values.T
+    a, b = values.T
     constant = a.std() * b.std() == 0.0
-    ranks = rank_pairs(scores.values)[["V", "p", "method", "rank_biserial"]]
+    ranks = rank_pairs(values)[["V", "p", "method", "rank_biserial"]]
     names = {"V": "wilcoxon_v", "p": "wilcoxon_p", "method": "wilcoxon_method"}
     test = result.pairs(confidence=confidence).join(ranks.rename(columns=names))
     names = {"W": "shapiro_w", "p": "shapiro_p"}
-    test = test.join(normality_of_differences(scores.values).rename(columns=names)).assign(
+    test = test.join(normality_of_differences(values).rename(columns=names)).assign(
         n=result.n,
         sd_difference=(a - b).std(ddof=1),
         confidence=confidence,
         correlation=np.nan if constant else np.corrcoef(a, b)[0, 1],
     )
-    return PairedTTest(labelled(test[COLUMNS], scores.origin), result)
+    return PairedTTest(labelled(test[COLUMNS], result.origin), result)
 
 
 def equivalence(
@@ -196,7 +196,7 @@ def equivalence(
     result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
     pairs, n = result.pairs(confidence=1.0 - 2.0 * alpha), result.n
     mean = pairs["mean_difference"].to_numpy()
-    error = differences(result.scores.values).std(axis=1, ddof=1) / np.sqrt(n)
+    error = subject_differences(result.scores.to_numpy()).std(axis=1, ddof=1) / np.sqrt(n)
     if pairs["t"].isna().any():
         a, b = pairs.loc[pairs["t"].isna(), ["a", "b"]].iloc[0]
         raise ValueError(f"dv: every subject has the same difference between {a!r} and {b!r}")

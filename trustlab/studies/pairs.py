@@ -3,7 +3,7 @@
 from collections.abc import Hashable
 from functools import reduce
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -44,31 +44,6 @@ def holm(p: np.ndarray) -> np.ndarray:
     steps = np.maximum(count - np.arange(p.shape[-1]), 1) * np.take_along_axis(p, order, axis=-1)
     adjusted = np.minimum(np.maximum.accumulate(steps, axis=-1), 1.0)
     return np.take_along_axis(adjusted, np.argsort(order, axis=-1), axis=-1)
-
-
-class Pairs(NamedTuple):
-    """
-    Comparisons a − b of many studies, shape (studies, pairs); p is two-sided; NaN where every
-    subject has the same difference.
-    """
-
-    mean_difference: np.ndarray
-    t: np.ndarray
-    p: np.ndarray
-    p_bonferroni: np.ndarray
-    p_holm: np.ndarray
-
-
-def condition_pairs(scores: np.ndarray) -> Pairs:
-    """Compare all pairs of conditions, a before b, of studies of shape (studies, n, k)."""
-    n, k = scores.shape[1:]
-    a, b = np.triu_indices(k, 1)
-    difference = scores[:, :, a] - scores[:, :, b]
-    mean, sd = difference.mean(axis=1), difference.std(axis=1, ddof=1)
-    rounding = 4.0 * np.finfo(float).eps * np.abs(scores).max(axis=(1, 2))[:, None]
-    t = np.sqrt(n) * mean / np.where(sd > rounding, sd, np.nan)
-    p = 2.0 * special.stdtr(n - 1, -np.abs(t))
-    return Pairs(mean, t, p, bonferroni(p), holm(p))
 
 
 def estimates_of(
@@ -155,37 +130,49 @@ def compared(
     )
 
 
+def differences(regression: Regression, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return weighted sums of the coefficients of all cells in every study, and their standard errors,
+    both of shape (studies, weights); NaN where an error is what rounding of the scores can cause.
+    """
+    design, residual = regression.design, regression.residual
+    errors = residual @ np.hstack([*_turned(design, weights)])
+    squares = (errors**2).sum(axis=1).reshape(len(residual), len(weights), -1).sum(axis=2)
+    se = np.sqrt(squares / design.df_error)
+    se = np.where(se * np.sqrt(design.n) > regression.rounding[:, None], se, np.nan)
+    return np.tensordot(regression.coefficients, weights, ((1, 2), (1, 2))), se
+
+
+def _turned(design: Design, weights: np.ndarray) -> np.ndarray:
+    """Return the weights of residuals in the errors of weighted sums of coefficients."""
+    return np.swapaxes(weights, 1, 2) @ np.linalg.cholesky(design.inverse / design.n)
+
+
 def factor_pairs(
     regression: Regression, factor: Hashable, at: Hashable, level: float
 ) -> pd.DataFrame:
-    """Return comparisons of levels, each with the error of its own differences."""
+    """Return comparisons of levels of one study, each with the error of its own differences."""
     design = regression.design
     pairs, weights = level_pairs(design, factor, at)
-    root = np.linalg.cholesky(design.inverse / design.n)
-    turned = np.swapaxes(weights, 1, 2) @ root
-    errors = regression.residual[0] @ turned
-    se = np.sqrt((errors**2).sum(axis=(1, 2)) / design.df_error)
-    se = np.where(se * np.sqrt(design.n) > regression.rounding[0], se, np.nan)
+    (difference,), (se,) = differences(regression, weights)
     # Standard errors over standard deviations of the differences; between groups there are none.
     inside = (weights[:, 0] ** 2).sum(axis=1)
-    scale = np.sqrt((turned**2).sum(axis=(1, 2)) / np.where(inside > 1e-12, inside, np.nan))
-    difference = (weights * regression.coefficients[0]).sum(axis=(1, 2))
-    return compared(pairs, difference, se, design.df_error, scale, level).drop(columns="se")
+    squares = (_turned(design, weights) ** 2).sum(axis=(1, 2))
+    scale = np.sqrt(squares / np.where(inside > 1e-12, inside, np.nan))
+    return compared(pairs, difference, se, design.df_error, scale, level)
 
 
 def friedman(values: np.ndarray) -> pd.DataFrame:
     """Test whether the conditions' mean ranks differ; `values` has shape (n, k)."""
-    import pingouin
-
     n, k = values.shape
-    test = pingouin.friedman(pd.DataFrame(values))  # a wide table: a row per subject
-    w = float(np.clip(test["W"].iloc[0], 0.0, 1.0))  # the bounds are exact: only rounding is cut
+    ranks = stats.rankdata(values, axis=1) - 0.5 * (k + 1)
+    w = (ranks.sum(axis=0) ** 2).sum() / (n * (ranks**2).sum())  # NaN where all ranks are equal
     chi2 = n * (k - 1) * w
     p = special.chdtrc(k - 1, chi2)
     return pd.DataFrame([{"chi2": chi2, "df": k - 1, "p": p, "kendall_w": w}])
 
 
-def differences(values: np.ndarray) -> np.ndarray:
+def subject_differences(values: np.ndarray) -> np.ndarray:
     """Return the subjects' differences of every pair of conditions, shape (pairs, n)."""
     a, b = np.triu_indices(values.shape[1], 1)
     return (values[:, a] - values[:, b]).T
@@ -203,7 +190,7 @@ def rank_pairs(values: np.ndarray) -> pd.DataFrame:
     """
     grid = 10.0 ** (np.ceil(np.log10(np.abs(values).max())) - 12.0)
     rows = []
-    for difference in differences(values):
+    for difference in subject_differences(values):
         steps = np.round(difference / grid)
         steps = steps[steps != 0.0]
         ranks = stats.rankdata(np.abs(steps))
@@ -246,6 +233,6 @@ def normality_of_differences(values: np.ndarray) -> pd.DataFrame:
         (*stats.shapiro(x / np.abs(x).max()),)
         if np.ptp(x) > rounding and x.size <= 5000
         else (np.nan, np.nan)
-        for x in differences(values)
+        for x in subject_differences(values)
     ]
     return pd.DataFrame(rows, columns=["W", "p"])

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import one_of, open_unit
+from trustlab.models.checks import finite_array, one_of, open_unit
 from trustlab.models.display import axes_or_new
 from trustlab.studies import pairs
 from trustlab.studies.anova import (
@@ -21,14 +21,14 @@ from trustlab.studies.anova import (
     regress,
 )
 from trustlab.studies.table import (
-    ScoreTable,
+    Levels,
     Tested,
     complete_scores,
     labelled,
     names_of,
+    numbers_of,
     read_cells,
     read_factors,
-    read_groups,
 )
 from trustlab.studies.words import apa_report
 
@@ -43,8 +43,8 @@ class RepeatedMeasures(Tested):
 
     Parameters
     ----------
-    scores : ScoreTable
-        What was analysed. The conditions of several factors are their cells, as tuples.
+    scores : pandas.DataFrame
+        What was analysed: a row per subject, a column per condition, or cell of several factors.
     design : Design
         Factors within and between subjects, and groups.
     tests : pandas.DataFrame
@@ -55,7 +55,7 @@ class RepeatedMeasures(Tested):
         The correction asked for.
     """
 
-    scores: ScoreTable
+    scores: pd.DataFrame
     design: Design
     tests: pd.DataFrame
     excluded: tuple
@@ -64,7 +64,7 @@ class RepeatedMeasures(Tested):
     @property
     def conditions(self) -> tuple:
         """Labels of the conditions: the levels of one factor, or the cells of several."""
-        return self.scores.conditions
+        return tuple(self.scores.columns)
 
     @property
     def within(self) -> Mapping[Hashable, Sequence]:
@@ -77,14 +77,9 @@ class RepeatedMeasures(Tested):
         return self.design.between
 
     @property
-    def origin(self) -> str:
-        """Synthetic or reconstructed data; empty for measured data."""
-        return self.scores.origin
-
-    @property
     def one_way(self) -> bool:
         """Whether there is one factor within subjects and nothing else."""
-        return len(self.within) == 1 and not self.between
+        return len(self.within) == 1 and not {*self.between, *self.design.covariates}
 
     @property
     def title(self) -> str:
@@ -95,7 +90,7 @@ class RepeatedMeasures(Tested):
     @property
     def message(self) -> str:
         """The sentences for a paper, and where scores look like ratings which tests fit them."""
-        return f"{self.apa()} {pairs.rating_note(self.scores.values)}".strip()
+        return f"{self.apa()} {pairs.rating_note(self.scores.to_numpy())}".strip()
 
     def _refuse_several_factors(self, name: str) -> None:
         if not self.one_way:
@@ -132,7 +127,7 @@ class RepeatedMeasures(Tested):
         sizes = [len(levels) for levels in self.between.values()] or [1]
         codes = [self.design.groups[name] for name in self.between] or [np.zeros(self.n, dtype=int)]
         number = np.ravel_multi_index(codes, sizes)
-        stats = [describe(self.scores.values[number == i]) for i in range(np.prod(sizes))]
+        stats = [describe(self.scores.to_numpy()[number == i]) for i in range(np.prod(sizes))]
         names = ["condition"] if self.one_way else [*self.between, *self.within]
         cells = [*product(*self.between.values(), *self.within.values())]
         table = pd.DataFrame(cells, columns=names).join(pd.concat(stats, ignore_index=True))
@@ -176,24 +171,28 @@ class RepeatedMeasures(Tested):
         ValueError
             If a factor is unknown or missing, both are the same, or an argument has no effect.
         """
-        if factor is None and len(self.within) == 1:
-            factor = next(iter(self.within))
+        level = open_unit("confidence", confidence)
         if one_of("method", method, ("t", "wilcoxon")) == "wilcoxon":
             self._refuse_several_factors('pairs(method="wilcoxon")')
-        level = open_unit("confidence", confidence)
-        table = pairs.factor_pairs(self._regression(), factor, at, level)
+            if (factor, at, level) != (None, None, 0.95):
+                raise ValueError(
+                    "factor, at and confidence have no effect on ranks; leave them out"
+                )
+        if factor is None and len(self.within) == 1:
+            factor = next(iter(self.within))
+        table = pairs.factor_pairs(self._regression(), factor, at, level).drop(columns="se")
         if self.one_way:
             table = table.drop(columns="level")
-            sd = self.scores.values.std(axis=0, ddof=1)
+            sd = self.scores.std().to_numpy()
             a, b = np.triu_indices(self.k, 1)
             both = 0.5 * (sd[a] + sd[b])
             table["d_av"] = table["mean_difference"] / np.where(both > 0.0, both, np.nan)
         if method == "wilcoxon":
-            table = table[["a", "b"]].join(pairs.rank_pairs(self.scores.values))
+            table = table[["a", "b"]].join(pairs.rank_pairs(self.scores.to_numpy()))
         return labelled(table, self.origin)
 
     def _regression(self) -> Regression:
-        return regress(self.scores.values[None], self.design)
+        return regress(self.scores.to_numpy()[None], self.design)
 
     def residual_covariance(self) -> np.ndarray:
         """Return the covariance of the cells, given the groups."""
@@ -202,13 +201,13 @@ class RepeatedMeasures(Tested):
     def normality(self) -> pd.DataFrame:
         """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
         self._refuse_several_factors("normality()")
-        tests = pairs.normality_of_differences(self.scores.values)
+        tests = pairs.normality_of_differences(self.scores.to_numpy())
         return labelled(pd.concat([self.pairs()[["a", "b"]], tests], axis=1), self.origin)
 
     def friedman(self) -> pd.DataFrame:
         """Return Friedman's rank test of one factor: columns chi2, df, p, kendall_w."""
         self._refuse_several_factors("friedman()")
-        return labelled(pairs.friedman(self.scores.values), self.origin)
+        return labelled(pairs.friedman(self.scores.to_numpy()), self.origin)
 
     def assumptions(self) -> pd.DataFrame:
         """
@@ -306,6 +305,7 @@ def repeated_measures(
     subject: Hashable,
     *,
     between: Hashable | list[Hashable] | None = None,
+    covariates: Hashable | list[Hashable] | None = None,
     missing: str = "raise",
     order: Any = None,
     correction: str = "greenhouse-geisser",
@@ -324,6 +324,9 @@ def repeated_measures(
         The column with the condition, or a list of those of several crossed factors.
     between : hashable or list of hashable, optional
         Columns with groups of subjects, each of whom is in one; only by keyword.
+    covariates : hashable or list of hashable, optional
+        Columns with a number of each subject, such as age, taken about its mean; they interact with
+        the factors within subjects.
     missing : {"raise", "listwise"}
         Whether a missing cell is an error, or its subject is left out (and named in `.excluded`).
     order : sequence or dict, optional
@@ -366,37 +369,69 @@ def repeated_measures(
     alpha = open_unit("alpha", alpha)
     if not names_of(within):
         raise ValueError("within must name a column")
-    levels, groups = read_factors(frame, dv, within, subject, between, order)
-    scores, excluded = complete_scores(read_cells(frame, dv, levels, subject), missing)
-    read = {name: read_groups(frame, name, listed, scores) for name, listed in groups.items()}
-    numbers = {name: codes for name, (_, codes) in read.items()}
-    groups = {name: group for name, (group, _) in read.items()}
-    design = Design(len(scores.subjects), levels, groups, numbers)
-    columns = design.matrix.shape[1]
-    if np.linalg.matrix_rank(design.matrix) < columns:
-        raise ValueError(
-            f"between: some combination of {[*groups]} has no participant: its effects are not "
-            "defined"
-        )
-    if design.df_error < 1:
-        raise ValueError(
-            f"subject: {design.n} participants {[*scores.subjects]} for {columns} parameters leave "
-            "nothing to estimate the error from"
-        )
+    levels, groups = read_factors(frame, dv, within, subject, between, order, covariates)
+    cells = read_cells(frame, dv, levels, subject)
+    call = f"tl.mixed_model(frame, {dv!r}, {within!r}, {subject!r}, between={between!r})"
+    remedy = "leave them out with missing='listwise'"
+    if not covariates:
+        remedy += f"; or call {call}, which takes missing cells"
+    scores, excluded = complete_scores(cells, dv, missing, remedy)
+    design = _design(frame, scores, subject, levels, groups, names_of(covariates))
+    factors = " × ".join(map(str, levels))
     try:
-        tests = effects(scores.values[None], design).loc[0].reset_index()
+        tests = effects(scores.to_numpy()[None], design).loc[0].reset_index()
     except ValueError as error:
         reason = str(error).removeprefix("study 0: ")
-        raise ValueError(f"dv: column {scores.dv!r} by {scores.within!r}: {reason}") from None
-    first = {"dv": scores.dv, "within": scores.within}
-    size = {"n": design.n, "k": len(scores.conditions)}
-    last = {"alpha": alpha, "excluded": len(excluded), "origin": scores.origin}
+        raise ValueError(f"dv: column {dv!r} by {factors!r}: {reason}") from None
+    origin = scores.attrs.get("origin", "")
+    first = {"dv": dv, "within": within if len(levels) == 1 else factors}
+    size = {"n": design.n, "k": scores.shape[1]}
+    last = {"alpha": alpha, "excluded": len(excluded), "origin": origin}
     rows = [
         first | {"effect": row.pop("effect")} | size | _corrected(row, design, correction) | last
         for row in tests.to_dict("records")
     ]
-    table = labelled(pd.DataFrame(rows), scores.origin)
-    return RepeatedMeasures(scores, design, table, excluded, correction)
+    return RepeatedMeasures(
+        scores, design, labelled(pd.DataFrame(rows), origin), excluded, correction
+    )
+
+
+def _design(
+    frame: pd.DataFrame,
+    scores: pd.DataFrame,
+    subject: Hashable,
+    levels: Levels,
+    groups: Levels,
+    covariates: list[Hashable],
+) -> Design:
+    """Return the design of the subjects whose scores are complete; groups without any are left."""
+    people = frame.drop_duplicates(subject).set_index(subject).loc[scores.index]
+    there, codes, numbers = {}, {}, {}
+    for name, listed in groups.items():
+        members = people[name].tolist()
+        there[name] = tuple(level for level in listed if level in members)
+        if len(there[name]) < 2 or min(map(members.count, there[name])) < 2:
+            raise ValueError(
+                f"between: column {name!r} needs two groups or more, with two complete "
+                f"participants in each, got {members}"
+            )
+        codes[name] = np.array([*map(there[name].index, members)])
+    for name in covariates:
+        x = finite_array("covariates", numbers_of(people[name], "covariates"))
+        numbers[name] = (x - x.mean()) / (x.std() or 1.0)
+    design = Design(len(scores), levels, there, codes, numbers)
+    columns = design.matrix.shape[1]
+    if np.linalg.matrix_rank(design.matrix) < columns:
+        raise ValueError(
+            f"between: effects of {[*groups, *covariates]} are not defined: some combination of "
+            "groups has no participant, or a covariate follows from them"
+        )
+    if design.df_error < 1:
+        raise ValueError(
+            f"subject: {design.n} participants {[*scores.index]} for {columns} parameters leave "
+            "nothing to estimate the error from"
+        )
+    return design
 
 
 def _corrected(test: dict, design: Design, correction: str) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import pandas as pd
 
 from trustlab.models.checks import one_of, positive
 from trustlab.models.display import Result
-from trustlab.studies.table import numbers_of, read_scores
+from trustlab.studies.table import numbers_of, read_cells, read_factors
 
 # Which values count as outlying, by the name of the rule and its k.
 OUTLIER_RULES = {
@@ -156,7 +156,8 @@ def winsorize(
             f'k = {k:g}, to = {to!r}: outside="quantile" needs a k below 0.5, outside="extremes" a '
             'whole k and to="next"'
         )
-    levels = read_scores(data, dv, within, subject).conditions
+    (levels,) = read_factors(data, dv, [within], subject)[0].values()
+    read_cells(data, dv, {within: levels}, subject)
     subjects, scores = data[subject].to_numpy(), numbers_of(data[dv], "dv")
     changes, limits = [], []
     for condition in levels:
