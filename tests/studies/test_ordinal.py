@@ -178,9 +178,7 @@ def test_groups_sentences_and_speed():
     assert time.process_time() - started < 3.0
     assert model.table()["term"].tolist() == ["group", "mode", "group:mode"]
     assert model.probabilities()["mode"].unique().tolist() == [*"dcba"]
-    sentence = (
-        "A cumulative-link mixed model of trust with random intercepts (20 people, 240 ratings)"
-    )
+    sentence = "A cumulative-link mixed model of trust with random intercepts (20 people, 240 obs"
     for words in (sentence, "mode, χ²(3) = ", "novice × c"):
         assert words in model.apa()
     assert model.apa() == model.message == tl.report(model).message

@@ -15,7 +15,7 @@ import pytest
 
 import trustlab as tl
 from tests.studies.scores import drawn
-from trustlab.studies.report import _printed
+from trustlab.studies.report import printed
 
 mpl.use("Agg")
 
@@ -123,7 +123,7 @@ def test_small_differences_are_not_rounded_away():
     frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
     frame["value"] *= 1e-5
     small = tl.report(frame, dv="value", within="condition", subject="subject")
-    for row in _printed(small.tables["Pairwise comparisons"]).to_dict("records"):
+    for row in printed(small.tables["Pairwise comparisons"]).to_dict("records"):
         ends = [float(row[f"95% CI {end}"].replace("−", "-")) for end in ("low", "high")]
         assert ends[0] < ends[1]
 

@@ -50,7 +50,7 @@ AXES = {
 }
 # Corrections of the omnibus F by the name of their p-value, and adjustments of the pairs.
 TESTS = {"none": "p", "greenhouse-geisser": "p_gg", "huynh-feldt": "p_hf"}
-ADJUSTMENTS = {"none": np.asarray, "bonferroni": bonferroni, "holm": holm}
+ADJUSTMENTS: dict[str, Any] = {"none": np.asarray, "bonferroni": bonferroni, "holm": holm}
 # The correction that `repeated_measures` makes by default.
 USUAL_TEST = "greenhouse-geisser"
 MOST_N = 100_000

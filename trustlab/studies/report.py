@@ -84,7 +84,7 @@ class StudyReport(Result):
         path = Path(path)
         kind = one_of(f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex"))
         mark = f" [{self.origin}]" if self.origin else ""
-        tables = {title + mark: _printed(table) for title, table in self.tables.items()}
+        tables = {title + mark: printed(table) for title, table in self.tables.items()}
         words = "\n".join([self.message, *tables, *(table.to_csv() for table in tables.values())])
         if control := re.search(r".*[\x00-\x08\x0b-\x1f\x7f-\x9f]", words):
             raise ValueError(
@@ -137,24 +137,22 @@ def report(
     (36, 5)
     """
     if isinstance(frame, Mapping):
-        return _side_by_side(frame, of_class("thresholds", thresholds or {}, dict))
+        return _fits(frame, of_class("thresholds", thresholds or {}, dict))
     if thresholds is not None:
         raise ValueError("thresholds are printed beside fits by name: give frame={name: fit, …}")
     result = frame if dv is None else repeated_measures(frame, dv, within, subject, **options)
     if isinstance(result, RepeatedMeasures):
         return StudyReport(result, result.message, _section(result), result.origin)
-    if not isinstance(result, pd.DataFrame) and not hasattr(result, "table"):
+    if not isinstance(result, pd.DataFrame | Result):
         raise ValueError(
             "frame must be a table with dv=, within=, subject=, or a result, got "
             f"{type(frame).__name__}"
         )
-    table, title = result, "Results"
-    if not isinstance(result, pd.DataFrame):
-        table = result.table()
-        title = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(result).__name__).capitalize()
-    named = table.reset_index() if table.index.names != [None] else table
+    table = result.table() if isinstance(result, Result) else result
+    named = _with_names(table)
     if len(named) == 1 and named.shape[1] > _WIDE:
-        named = _printed(named).T.reset_index().set_axis(["statistic", "value"], axis=1)
+        named = printed(named).T.reset_index().set_axis(["statistic", "value"], axis=1)
+    title = getattr(result, "title", "Results")
     return StudyReport(result, _sentences(result), {title: named}, _origin(result, table))
 
 
@@ -179,30 +177,26 @@ def _section(result: RepeatedMeasures) -> dict[str, pd.DataFrame]:
     return tables
 
 
-def _side_by_side(
-    results: Mapping[Hashable, Any], thresholds: Mapping[Hashable, Any]
-) -> StudyReport:
-    """Return results of one kind as one table, a row for each: estimates with standard errors."""
-    if not results or (thresholds and set(thresholds) != set(results)):
+def _fits(fits: Mapping[Hashable, Any], thresholds: Mapping[Hashable, Any]) -> StudyReport:
+    """Return fits as one table, a row for each: estimates with standard errors."""
+    if not fits or (thresholds and set(thresholds) != set(fits)):
         raise ValueError(
-            f"frame is a dict of results, {shown([*results])}, and thresholds must have one for "
-            f"each, got {shown([*thresholds])}"
+            f"frame is a dict of fits, {shown([*fits])}, and thresholds must have one for each, "
+            f"got {shown([*thresholds])}"
         )
-    whole = pd.concat({name: result.table() for name, result in results.items()}, names=["of"])
-    origins = {_origin(result, whole) for result in results.values()} - {""}
-    said = {name: _sentences(result) for name, result in results.items()}
+    whole = pd.concat({name: fit.table() for name, fit in fits.items()}, names=["of"])
+    origins = {_origin(fit, whole) for fit in fits.values()} - {""}
+    said = {name: _sentences(fit) for name, fit in fits.items()}
     text = " ".join(f"{name}: {sentences}" for name, sentences in said.items() if sentences)
-    title, table = "Results", whole
-    if {"value", "stderr"} <= set(whole):
-        title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
-        rows = []
-        for name, result in results.items():
-            texts = _printed(_estimates(result)).replace({"standard error": {"": "–"}})
-            cells = texts["value"] + " ± " + texts["standard error"]
-            failed = "" if getattr(result, "success", True) else " (the fit failed)"
-            row = {"of": f"{name}{failed}"} | dict(zip(texts["parameter"], cells, strict=True))
-            rows.append(row | (_chosen(thresholds[name]) if thresholds else {}))
-        table = pd.DataFrame(rows).fillna("")
+    rows = []
+    for name, fit in fits.items():
+        texts = printed(_estimates(fit)).replace({"standard error": {"": "–"}})
+        cells = texts["value"] + " ± " + texts["standard error"]
+        row = {"of": f"{name}{'' if fit.success else ' (the fit failed)'}"}
+        row |= dict(zip(texts["parameter"], cells, strict=True))
+        rows.append(row | (_chosen(thresholds[name]) if thresholds else {}))
+    title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
+    table = pd.DataFrame(rows).fillna("")
     return StudyReport(whole, text, {title: table}, ", ".join(sorted(origins)))
 
 
@@ -241,17 +235,21 @@ def _origin(result: Any, table: pd.DataFrame) -> str:
     return getattr(result, "origin", "") or table.attrs.get("origin", "") or synthetic
 
 
-def _printed(table: pd.DataFrame) -> pd.DataFrame:
+def _with_names(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table whose index, where it has a name, is columns."""
+    return table.reset_index() if table.index.names != [None] else table
+
+
+def printed(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table of texts with the roundings and heads of a paper."""
-    named = table.reset_index() if table.index.names != [None] else table
+    named = _with_names(table)
     texts = apa_table(named.rename(columns=str).rename_axis(columns=None))
     texts = texts.astype(object).where(texts.notna(), "").map(str).rename(columns=in_words)
     if "confidence" in named:
         level = f"{100.0 * named['confidence'].iloc[0]:g}%"
-        texts = texts.rename(columns=lambda head: head.replace("95%", level))
-    for name in ("parameter", "correction"):
-        if name in texts:
-            texts[name] = texts[name].map(in_words)
+        texts.columns = texts.columns.str.replace("95%", level)
+    for name in texts.columns.intersection(["parameter", "correction"]):
+        texts[name] = texts[name].map(in_words)
     return texts
 
 
