@@ -27,7 +27,7 @@ ANALYSES = {
     "pairs of groups": lambda f: two(f, between="group").pairs("group", at="mode"),
     "paired t-test": lambda f: tl.paired_t_test(f[f["mode"] < "c"], **ONE).table(),
     "equivalence": lambda f: tl.equivalence(f, **ONE, bound=0.5 * f["score"].std()),
-    "Bayes factors": lambda f: tl.bayes_factor(f, **ONE, method="jzs"),
+    "Bayes factors": lambda f: tl.bayes_factor(f, **ONE),
     "mixed model": lambda f: tl.mixed_model(f, **ONE).table(),
     "formula model": lambda f: tl.formula_model("score ~ mode", f, groups="person").table(),
     "ordinal model": lambda f: tl.ordinal_model(in_thirds(f), *ONE.values()).table(),

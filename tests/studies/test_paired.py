@@ -121,21 +121,6 @@ def test_bayes_factors_of_any_t(t, n, scale, expected):
     assert log_jzs_bayes_factor(t, n, scale) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-def test_bayes_factor_by_bic_is_the_closed_form():
-    """
-    Masson (2011): ΔBIC = N ln(SSE1/SSE0) + (k1 − k0) ln N with N = n (k − 1); sums of squares
-    written out.
-    """
-    x = np.random.default_rng(1).standard_normal((15, 4)) + np.array([0.0, 0.2, 0.4, 0.9])
-    rest = x - x.mean(0) - x.mean(1, keepdims=True) + x.mean()
-    sse1, sse0 = (rest**2).sum(), ((x - x.mean(1, keepdims=True)) ** 2).sum()
-    delta = 45 * np.log(sse1 / sse0) + 3 * np.log(45)
-    found = tl.bayes_factor(long(x), **COLUMNS).iloc[0]
-    assert found["method"] == "bic"
-    assert found["bf10"] == pytest.approx(np.exp(-delta / 2))
-    assert len(tl.bayes_factor(long(x), **COLUMNS, method="jzs")) == 6
-
-
 def test_shapiro_is_not_defined_beyond_five_thousand_subjects():
     a, b = np.random.default_rng(0).normal(size=(2, 5001))
     assert np.isnan(run(a, b).shapiro_p)
