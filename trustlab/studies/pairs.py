@@ -11,9 +11,6 @@ from scipy import special, stats
 
 from trustlab.studies.anova import Design, Regression
 
-# Scores of at most so many different whole numbers (0 to 10) are taken for a rating item's.
-_MOST_STEPS = 11
-
 
 def bonferroni(p: np.ndarray) -> np.ndarray:
     """
@@ -207,18 +204,6 @@ def rank_pairs(values: np.ndarray) -> pd.DataFrame:
     table = pd.DataFrame(rows, columns=names)
     p = table["p"].to_numpy()
     return table.assign(p_bonferroni=bonferroni(p), p_holm=holm(p))
-
-
-def rating_note(values: np.ndarray) -> str:
-    """Return a note that names other tests if scores look like those of one rating item."""
-    steps = np.unique(values)
-    if steps.size > _MOST_STEPS or (steps % 1.0).any():
-        return ""
-    return (
-        f"Scores are whole numbers from {steps[0]:g} to {steps[-1]:g}, as of a rating item, "
-        "whose steps need not be equal: see tl.ordinal_model, friedman() and "
-        'pairs(method="wilcoxon").'
-    )
 
 
 def normality_of_differences(values: np.ndarray) -> pd.DataFrame:

@@ -16,6 +16,7 @@ from trustlab.studies.anova import (
     CORRECTIONS,
     Design,
     Regression,
+    effect_name,
     effects,
     partial_eta_interval,
     regress,
@@ -25,6 +26,7 @@ from trustlab.studies.table import (
     Tested,
     complete_scores,
     labelled,
+    mark,
     names_of,
     numbers_of,
     read_cells,
@@ -48,7 +50,11 @@ class RepeatedMeasures(Tested):
     design : Design
         Factors within and between subjects, and groups.
     tests : pandas.DataFrame
-        What `table` returns.
+        What `table` returns: the test of every effect, sums of squares of type III. Columns dv,
+        within (the factors), effect, n, k; those of `repeated_measures_batch`; the correction that
+        applies: correction, df1_corrected, df2_corrected, p_corrected, and eta2_partial_low,
+        eta2_partial_high (90 %) with its degrees of freedom; alpha, excluded (how many subjects),
+        origin.
     excluded : tuple
         Subjects left out for missing cells.
     correction_rule : {"greenhouse-geisser", "huynh-feldt", "none"}
@@ -87,31 +93,12 @@ class RepeatedMeasures(Tested):
         origin = f" [{self.origin}]" if self.origin else ""
         return f"{self.dv} by {', '.join(map(str, [*self.within, *self.between]))}{origin}"
 
-    @property
-    def message(self) -> str:
-        """The sentences for a paper, and where scores look like ratings which tests fit them."""
-        return f"{self.apa()} {pairs.rating_note(self.scores.to_numpy())}".strip()
-
     def _refuse_several_factors(self, name: str) -> None:
         if not self.one_way:
             raise ValueError(
                 f"{name} is for one factor within subjects, without groups; this design has "
                 f"{[*self.within, *self.between]}"
             )
-
-    def table(self) -> pd.DataFrame:
-        """
-        Return the test of every effect, sums of squares of type III; nothing is rounded.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns dv, within (the factors), effect, n, k; those of `repeated_measures_batch`; the
-            correction that applies: correction, df1_corrected, df2_corrected, p_corrected, and
-            eta2_partial_low, eta2_partial_high (90 %) with its degrees of freedom; alpha, excluded
-            (how many subjects), origin.
-        """
-        return super().table()
 
     def descriptives(self) -> pd.DataFrame:
         """
@@ -124,14 +111,12 @@ class RepeatedMeasures(Tested):
             two 95 % intervals of the mean: ci_low and ci_high between subjects, ci_low_within and
             ci_high_within after Cousineau and Morey.
         """
-        sizes = [len(levels) for levels in self.between.values()] or [1]
-        codes = [self.design.groups[name] for name in self.between] or [np.zeros(self.n, dtype=int)]
-        number = np.ravel_multi_index(codes, sizes)
-        stats = [describe(self.scores.to_numpy()[number == i]) for i in range(np.prod(sizes))]
+        groups = [*self.design.groups.values()]
+        people: Any = self.scores.groupby(groups) if groups else [((), self.scores)]
+        stats = pd.concat([describe(part.to_numpy()) for _, part in people], ignore_index=True)
         names = ["condition"] if self.one_way else [*self.between, *self.within]
         cells = [*product(*self.between.values(), *self.within.values())]
-        table = pd.DataFrame(cells, columns=names).join(pd.concat(stats, ignore_index=True))
-        return labelled(table, self.origin)
+        return labelled(pd.DataFrame(cells, columns=names).join(stats), self.origin)
 
     def pairs(
         self,
@@ -256,21 +241,20 @@ class RepeatedMeasures(Tested):
         -------
         matplotlib.axes.Axes
         """
-        factor, levels = next(iter(self.within.items()))
-        stats = self.descriptives()
-        lines = [name for name in (*self.between, *self.within) if name != factor]
+        factor, *others = self.within
+        stats, levels, lines = self.descriptives(), self.within[factor], [*self.between, *others]
         cells: Any = stats.groupby(lines, sort=False) if lines else [((), stats)]
-        axes = axes_or_new(axes, figsize=(max(4.2, 1.6 + 0.9 * len(levels)), 3.6))
+        axes = axes_or_new(axes, figsize=(5.6, 3.6))
         for i, (cell, rows) in enumerate(cells):
-            mean, label = rows["mean"], ", ".join(map(str, cell))
-            reach = [mean - rows["ci_low"], rows["ci_high"] - mean]
-            places = np.arange(len(levels)) + 0.06 * i
-            axes.errorbar(places, mean, reach, fmt="o-" if lines else "o", capsize=5, label=label)
+            mean, places = rows["mean"], np.arange(len(levels)) + 0.06 * i
+            ends = [mean - rows["ci_low"], rows["ci_high"] - mean]
+            label, style = ", ".join(map(str, cell)), "o-" if lines else "o"
+            axes.errorbar(places, mean, ends, fmt=style, capsize=5, label=label)
         if lines:
             axes.legend(fontsize="small", title=", ".join(map(str, lines)))
-        axes.set_xticks(range(len(levels)), [str(level) for level in levels])
-        origin = f"{self.origin}: " if self.origin else ""
-        axes.set_title(f"{origin}means, 95 % intervals (N = {self.n})", fontsize="small", wrap=True)
+        axes.set_xticks(range(len(levels)), [*map(str, levels)])
+        title = f"{mark(self.origin)}means, 95 % intervals (N = {self.n})"
+        axes.set_title(title, fontsize="small", wrap=True)
         axes.set(xlabel=str(factor), ylabel=str(self.dv))
         return axes
 
@@ -284,18 +268,17 @@ def describe(values: np.ndarray) -> pd.DataFrame:
     removes.
     """
     n, k = values.shape
-    names = {"mean": "mean", "std": "sd", "sem": "se", "median": "median"}
-    names |= {"min": "minimum", "max": "maximum"}
-    stats = pd.DataFrame(values).agg([*names]).T.rename(columns=names)
-    stats.insert(0, "n", n)
+    mean, sd = values.mean(axis=0), values.std(axis=0, ddof=1)
+    stats = {"n": n, "mean": mean, "sd": sd, "se": sd / np.sqrt(n)}
+    stats["median"] = np.median(values, axis=0)
+    stats |= {"minimum": values.min(axis=0), "maximum": values.max(axis=0)}
     centred = values - values.mean()  # a common offset would cost digits in the subjects' means
     inside = centred - centred.mean(axis=1, keepdims=True)
-    within_sd = inside.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
+    within = inside.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
     width = special.stdtrit(n - 1, 0.975) / np.sqrt(n)
-    for end, sd in {"": stats["sd"], "_within": within_sd}.items():
-        stats[f"ci_low{end}"] = stats["mean"] - width * sd
-        stats[f"ci_high{end}"] = stats["mean"] + width * sd
-    return stats
+    for end, spread in {"": sd, "_within": within}.items():
+        stats |= {f"ci_low{end}": mean - width * spread, f"ci_high{end}": mean + width * spread}
+    return pd.DataFrame(stats)
 
 
 def repeated_measures(
@@ -377,23 +360,18 @@ def repeated_measures(
         remedy += f"; or call {call}, which takes missing cells"
     scores, excluded = complete_scores(cells, dv, missing, remedy)
     design = _design(frame, scores, subject, levels, groups, names_of(covariates))
-    factors = " × ".join(map(str, levels))
-    try:
-        tests = effects(scores.to_numpy()[None], design).loc[0].reset_index()
-    except ValueError as error:
-        reason = str(error).removeprefix("study 0: ")
-        raise ValueError(f"dv: column {dv!r} by {factors!r}: {reason}") from None
+    tests = effects(scores.to_numpy()[None], design).loc[0].reset_index()
     origin = scores.attrs.get("origin", "")
-    first = {"dv": dv, "within": within if len(levels) == 1 else factors}
-    size = {"n": design.n, "k": scores.shape[1]}
-    last = {"alpha": alpha, "excluded": len(excluded), "origin": origin}
     rows = [
-        first | {"effect": row.pop("effect")} | size | _corrected(row, design, correction) | last
+        {"dv": dv, "within": effect_name((), (*levels,)), "effect": row.pop("effect")}
+        | {"n": design.n, "k": scores.shape[1]}
+        | row
+        | _corrected(row, design, correction)
+        | {"alpha": alpha, "excluded": len(excluded), "origin": origin}
         for row in tests.to_dict("records")
     ]
-    return RepeatedMeasures(
-        scores, design, labelled(pd.DataFrame(rows), origin), excluded, correction
-    )
+    table = labelled(pd.DataFrame(rows), origin)
+    return RepeatedMeasures(scores, design, table, excluded, correction)
 
 
 def _design(
@@ -446,7 +424,7 @@ def _corrected(test: dict, design: Design, correction: str) -> dict[str, Any]:
     # λ = n d ε η²/(1 − η²) in the population, for d contrasts within subjects.
     total = df2 + epsilon * (design.n - design.df_error) * d
     low, high = interval.noncentrality_low, interval.noncentrality_high
-    return test | {
+    return {
         "correction": correction,
         "df1_corrected": df1,
         "df2_corrected": df2,

@@ -1,7 +1,6 @@
-"""The Results section of a paper: sentences, tables and a figure, written to HTML or LaTeX."""
+"""The Results section of a paper: sentences and tables, written to HTML or LaTeX."""
 
 import html
-import io
 import os
 import re
 from collections.abc import Hashable, Mapping
@@ -63,7 +62,7 @@ class StudyReport(Result):
 
     def write(self, path: str | os.PathLike) -> Path:
         """
-        Write text, tables and (in HTML, of an analysis of variance) the figure to a file.
+        Write text and tables to a file.
 
         Estimates have as many decimals as their errors ask for, at least two; p-values have three.
 
@@ -91,8 +90,8 @@ class StudyReport(Result):
                 f"{control.group()[-60:]!r} holds a control character, which no document can show; "
                 "rename the level or column in the data"
             )
-        text = _html(self, tables) if kind == ".html" else _latex(self.message, tables)
-        path.write_text(text, encoding="utf-8")
+        document = _html if kind == ".html" else _latex
+        path.write_text(document(self.message, tables), encoding="utf-8")
         return path
 
 
@@ -253,19 +252,11 @@ def printed(table: pd.DataFrame) -> pd.DataFrame:
     return texts
 
 
-def _html(study: StudyReport, tables: dict[str, pd.DataFrame]) -> str:
-    parts = [f"<p>{html.escape(study.message)}</p>"] if study.message else []
+def _html(text: str, tables: dict[str, pd.DataFrame]) -> str:
+    parts = [f"<p>{html.escape(text)}</p>"] if text else []
     for number, (title, table) in enumerate(tables.items(), start=1):
         caption = f"<p><b>Table {number}</b><br><i>{html.escape(title)}</i></p>"
         parts += [caption, table.to_html(index=False, border=0)]
-    if isinstance(study.result, RepeatedMeasures):
-        import matplotlib.pyplot as plt
-
-        drawing = io.StringIO()
-        axes = study.result.plot()
-        axes.figure.savefig(drawing, format="svg")
-        plt.close(axes.figure)
-        parts.append(drawing.getvalue()[drawing.getvalue().index("<svg") :])
     return "\n".join(parts)
 
 
