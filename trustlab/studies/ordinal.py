@@ -203,7 +203,7 @@ class OrdinalModel(FormulaModel):
             return special.logit(np.diff(below, axis=1, prepend=0.0, append=1.0)).ravel()
 
         point = np.concatenate([fit.beta, fit.thresholds])
-        slope = approx_fprime(point, logits, STEP, centered=True)
+        slope = approx_fprime(point, logits, 2.0 * STEP, centered=True)  # which takes half of it
         half = special.ndtri(0.975) * np.sqrt(((slope @ fit.covariance) * slope).sum(axis=1))
         centre = logits(point)
         table = self.cells.index.to_frame(index=False).merge(

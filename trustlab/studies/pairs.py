@@ -1,5 +1,6 @@
 """Comparisons after an analysis of variance: pairs of levels, tests by ranks."""
 
+import math
 from collections.abc import Hashable
 from functools import reduce
 from itertools import combinations
@@ -78,29 +79,18 @@ def level_pairs(
             raise ValueError(f"factor: {name!r} is not a factor of this design: {[*factors]}")
     if factor == at:
         raise ValueError(f"factor and at are both {factor!r}; name two factors")
-    rows, weights = [], []
+    sizes = {name: len(levels) for name, levels in factors.items()}
+    means = {name: np.full((1, k), 1.0 / k) for name, k in sizes.items()}
+    a, b = np.triu_indices(sizes[factor], 1)
+    differences = np.eye(sizes[factor])[a] - np.eye(sizes[factor])[b]
+    cells = math.prod(map(len, design.within.values()))
+    pairs, weights = [], []
     for place, level in enumerate([np.nan] if at is None else factors[at]):
-        fixed = {} if at is None else {at: place}
-        means = [_mean(design, fixed | {factor: i}) for i in range(len(factors[factor]))]
-        for (a, first), (b, second) in combinations(zip(factors[factor], means, strict=True), 2):
-            rows.append((level, a, b))
-            weights.append(first - second)
-    return pd.DataFrame(rows, columns=["level", "a", "b"]), np.array(weights)
-
-
-def _mean(design: Design, fixed: dict[Hashable, int]) -> np.ndarray:
-    """Return the weights of the coefficients of all cells in the mean at some factors' levels."""
-
-    def share(factors: Any) -> np.ndarray:
-        parts = [
-            np.eye(len(levels))[fixed[name]]
-            if name in fixed
-            else np.full(len(levels), 1.0 / len(levels))
-            for name, levels in factors.items()
-        ]
-        return reduce(np.kron, parts, np.ones(1))
-
-    return np.outer(share(design.between) @ design.combinations, share(design.within))
+        fixed = {} if at is None else {at: np.eye(sizes[at])[[place]]}
+        of_cells = reduce(np.kron, (means | fixed | {factor: differences}).values())
+        weights.append(design.combinations.T @ of_cells.reshape(len(a), -1, cells))
+        pairs += [(level, *pair) for pair in combinations(factors[factor], 2)]
+    return pd.DataFrame(pairs, columns=["level", "a", "b"]), np.concatenate(weights)
 
 
 def compared(

@@ -169,9 +169,6 @@ class Tested(Result):
         """What kind of data these are where they were not measured; else empty."""
         return self.tests.attrs.get("origin", "")
 
-    def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *self.tests]
-
     def table(self) -> pd.DataFrame:
         """Return the tests, a row for each effect; nothing is rounded."""
         return self.tests.copy()
