@@ -54,11 +54,6 @@ def test_a_pair_with_one_difference_has_no_error():
         np.testing.assert_allclose(error[0], stats.sem(own[0]), rtol=1e-12)
 
 
-def test_ranks_take_no_level():
-    with pytest.raises(ValueError, match="have no effect on ranks"):
-        tl.repeated_measures(drawn(), **COLUMNS).pairs(method="wilcoxon", confidence=0.9)
-
-
 @pytest.mark.parametrize(
     ("t", "n"), [(2.5, 12), (-0.3, 5), (0.0, 9), (8.0, 20), (-40.0, 36), (900.0, 6)]
 )

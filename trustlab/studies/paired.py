@@ -8,7 +8,7 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import open_unit, positive
-from trustlab.studies.pairs import holm, normality_of_differences, rank_pairs
+from trustlab.studies.pairs import holm, normality_of_differences
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.table import Tested, labelled
 from trustlab.studies.words import apa_pair
@@ -24,11 +24,8 @@ class PairedTTest(Tested):
     level confidence; Student's t on df = n − 1 degrees of freedom and its two-sided p; d_z, the
     mean over the standard deviation of the differences, with its interval d_z_low, d_z_high, which
     inverts the noncentral t distribution, exact to four digits; d_av, over the mean of both
-    standard deviations; correlation of a and b, NaN if one of them is constant; wilcoxon_v (sum of
-    the ranks of positive differences, zero differences left out), wilcoxon_p (two-sided),
-    wilcoxon_method ("exact" below 50 subjects without ties or zero differences, else "normal
-    approximation, continuity corrected") and rank_biserial ((positive − negative rank sum) over
-    their total); shapiro_w and shapiro_p, Shapiro and Wilk's test of the differences.
+    standard deviations; correlation of a and b, NaN if one of them is constant; shapiro_w and
+    shapiro_p, Shapiro and Wilk's test of the differences.
 
     Parameters
     ----------
@@ -53,8 +50,8 @@ class PairedTTest(Tested):
 
 
 COLUMNS = ["a", "b", "n", "mean_difference", "sd_difference", "ci_low", "ci_high", "confidence"]
-COLUMNS += ["t", "df", "p", "d_z", "d_z_low", "d_z_high", "d_av", "correlation", "wilcoxon_v"]
-COLUMNS += ["wilcoxon_p", "wilcoxon_method", "rank_biserial", "shapiro_w", "shapiro_p"]
+COLUMNS += ["t", "df", "p", "d_z", "d_z_low", "d_z_high", "d_av", "correlation", "shapiro_w"]
+COLUMNS += ["shapiro_p"]
 
 
 def paired_t_test(
@@ -115,12 +112,10 @@ def paired_t_test(
             "paired t-test compares two. Select their rows, or use repeated_measures"
         )
     values = result.scores.to_numpy()
-    names = {"V": "wilcoxon_v", "p": "wilcoxon_p", "method": "wilcoxon_method"}
-    ranks = rank_pairs(values).rename(columns=names)
     normality = normality_of_differences(values).rename(
         columns={"W": "shapiro_w", "p": "shapiro_p"}
     )
-    test = pd.concat([result.pairs(confidence=confidence), ranks, normality], axis=1).assign(
+    test = pd.concat([result.pairs(confidence=confidence), normality], axis=1).assign(
         n=result.n,
         sd_difference=np.subtract(*values.T).std(ddof=1),
         confidence=confidence,

@@ -1,4 +1,4 @@
-"""Comparisons after an analysis of variance: pairs of levels, tests by ranks."""
+"""Comparisons after an analysis of variance: pairs of levels, ranks, normality."""
 
 import math
 from collections.abc import Hashable
@@ -90,7 +90,8 @@ def level_pairs(
         of_cells = reduce(np.kron, (means | fixed | {factor: differences}).values())
         weights.append(design.combinations.T @ of_cells.reshape(len(a), -1, cells))
         pairs += [(level, *pair) for pair in combinations(factors[factor], 2)]
-    return pd.DataFrame(pairs, columns=["level", "a", "b"]), np.concatenate(weights)
+    table = pd.DataFrame(pairs, columns=["level", "a", "b"], dtype=object)
+    return table, np.concatenate(weights)
 
 
 def compared(
@@ -159,43 +160,6 @@ def friedman(values: np.ndarray) -> pd.DataFrame:
     return pd.DataFrame([{"chi2": chi2, "df": k - 1, "p": p, "kendall_w": w}])
 
 
-def subject_differences(values: np.ndarray) -> np.ndarray:
-    """Return the subjects' differences of every pair of conditions, shape (pairs, n)."""
-    a, b = np.triu_indices(values.shape[1], 1)
-    return (values[:, a] - values[:, b]).T
-
-
-def rank_pairs(values: np.ndarray) -> pd.DataFrame:
-    """
-    Compare every pair of conditions by Wilcoxon's signed-rank test, by the rules of R's
-    wilcox.test; not defined where all differences are zero.
-
-    Zero differences are left out. The p-value is exact below 50 subjects without ties or zero
-    differences, else from the normal approximation with continuity correction. Differences are
-    ranked to twelve digits of the largest score, as 0.3 − 0.2 and 0.2 − 0.1 are a tie although they
-    differ in floating point.
-    """
-    grid = 10.0 ** (np.ceil(np.log10(np.abs(values).max())) - 12.0)
-    rows = []
-    for difference in subject_differences(values):
-        steps = np.round(difference / grid)
-        steps = steps[steps != 0.0]
-        ranks = stats.rankdata(np.abs(steps))
-        exact = steps.size == difference.size < 50 and np.unique(ranks).size == steps.size
-        v, p, method, total = np.nan, np.nan, "not defined", ranks.sum()
-        if steps.size:
-            v = float(ranks[steps > 0.0].sum())
-            method = "exact" if exact else "normal approximation, continuity corrected"
-            kind = "exact" if exact else "asymptotic"
-            p = float(stats.wilcoxon(steps, method=kind, correction=not exact).pvalue)
-        biserial = (2.0 * v - total) / total if steps.size else np.nan
-        rows.append((v, p, method, biserial, np.median(difference)))
-    names = ["V", "p", "method", "rank_biserial", "median_difference"]
-    table = pd.DataFrame(rows, columns=names)
-    p = table["p"].to_numpy()
-    return table.assign(p_bonferroni=bonferroni(p), p_holm=holm(p))
-
-
 def normality_of_differences(values: np.ndarray) -> pd.DataFrame:
     """
     Return W and p of the Shapiro–Wilk test of the differences of every pair of conditions.
@@ -203,11 +167,10 @@ def normality_of_differences(values: np.ndarray) -> pd.DataFrame:
     NaN where all differences are equal.
     """
     rounding = 8.0 * np.finfo(float).eps * np.abs(values).max()
-    rows = [
-        # Scaled, as SciPy takes tiny differences for equal. Its p is not defined beyond 5000.
-        (*stats.shapiro(x / np.abs(x).max()),)
-        if np.ptp(x) > rounding and x.size <= 5000
-        else (np.nan, np.nan)
-        for x in subject_differences(values)
-    ]
+    rows = []
+    for a, b in combinations(values.T, 2):
+        x, row = a - b, (np.nan, np.nan)
+        if np.ptp(x) > rounding and x.size <= 5000:  # beyond, SciPy's p is not defined
+            row = stats.shapiro(x / np.abs(x).max())  # SciPy takes tiny differences for equal
+        rows.append(row)
     return pd.DataFrame(rows, columns=["W", "p"])

@@ -116,14 +116,13 @@ class RepeatedMeasures(Tested):
         stats = pd.concat([describe(part.to_numpy()) for _, part in people], ignore_index=True)
         names = ["condition"] if self.one_way else [*self.between, *self.within]
         cells = [*product(*self.between.values(), *self.within.values())]
-        return labelled(pd.DataFrame(cells, columns=names).join(stats), self.origin)
+        return labelled(pd.DataFrame(cells, columns=names, dtype=object).join(stats), self.origin)
 
     def pairs(
         self,
         factor: Hashable = None,
         at: Hashable = None,
         *,
-        method: str = "t",
         confidence: float = 0.95,
     ) -> pd.DataFrame:
         """
@@ -136,8 +135,6 @@ class RepeatedMeasures(Tested):
         factor, at : hashable, optional
             The factor compared (by default the only one within subjects) and the one whose levels
             are fixed; p-values are adjusted within each level.
-        method : {"t", "wilcoxon"}
-            Paired t-tests, or Wilcoxon's signed-rank tests of one factor.
         confidence : float
             Level of the intervals.
 
@@ -147,33 +144,23 @@ class RepeatedMeasures(Tested):
             Columns level (of `at`, with several factors) a b mean_difference (a − b) t p ci_low
             ci_high (unadjusted) df p_bonferroni p_holm d_z (mean over the residual standard
             deviation of the differences; NaN between groups) d_z_low d_z_high; of one factor also
-            d_av (mean over the mean of both standard deviations). For "wilcoxon", a b V p method
-            rank_biserial median_difference p_bonferroni p_holm; p is NaN where no subject's scores
-            differ.
+            d_av (mean over the mean of both standard deviations).
 
         Raises
         ------
         ValueError
-            If a factor is unknown or missing, both are the same, or an argument has no effect.
+            If a factor is unknown or missing, or both are the same.
         """
         level = open_unit("confidence", confidence)
-        if one_of("method", method, ("t", "wilcoxon")) == "wilcoxon":
-            self._refuse_several_factors('pairs(method="wilcoxon")')
-            if (factor, at, level) != (None, None, 0.95):
-                raise ValueError(
-                    "factor, at and confidence have no effect on ranks; leave them out"
-                )
         if factor is None and len(self.within) == 1:
             factor = next(iter(self.within))
         table = pairs.factor_pairs(self._regression(), factor, at, level).drop(columns="se")
         if self.one_way:
-            table = table.drop(columns="level")
             sd = self.scores.std().to_numpy()
             a, b = np.triu_indices(self.k, 1)
             both = 0.5 * (sd[a] + sd[b])
-            table["d_av"] = table["mean_difference"] / np.where(both > 0.0, both, np.nan)
-        if method == "wilcoxon":
-            table = table[["a", "b"]].join(pairs.rank_pairs(self.scores.to_numpy()))
+            d_av = table["mean_difference"] / np.where(both > 0.0, both, np.nan)
+            table = table.drop(columns="level").assign(d_av=d_av)
         return labelled(table, self.origin)
 
     def _regression(self) -> Regression:

@@ -171,8 +171,6 @@ def _section(result: RepeatedMeasures) -> dict[str, pd.DataFrame]:
         of_factor = "" if result.one_way else f" of {factor}"
         pairs = result.pairs(factor).drop(columns=["level", "d_av"], errors="ignore")
         tables[f"Pairwise comparisons{of_factor}"] = pairs
-    for table in tables.values():
-        table.attrs["labels"] = [*map(str, labels)]
     return tables
 
 

@@ -98,18 +98,15 @@ def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
     Parameters
     ----------
     frame : pandas.DataFrame
-        Results; columns p, ``p_…`` and ``mauchly_p…`` hold p-values. Columns of labels (a, b,
-        level, condition, and those that ``attrs["labels"]`` names) stay as they are.
+        Results; columns p, ``p_…`` and ``mauchly_p…`` hold p-values. What is no column of floats,
+        such as levels, stays as it is.
     digits : int
         Least number of decimals. Estimates have as many as show two digits of their standard error,
         or else of the interval's half width or the standard deviation; other columns as many as
         show two digits of a typical number.
     """
-    labels = {"a", "b", "level", "condition", *frame.attrs.get("labels", ())}
     table = frame.copy()
     for name in frame.select_dtypes("float").columns:
-        if name in labels:
-            continue
         values = frame[name].to_numpy()
         if str(name).startswith(("p_", "mauchly_p")) or name == "p":
             texts = [apa_p(value).removeprefix("p ").removeprefix("= ") for value in values]
