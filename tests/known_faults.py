@@ -48,6 +48,7 @@ ALLOWED = {
     "MixedModel.pairs": {"factor": "one factor"},
     "RepeatedMeasures.pairs": {"factor": "one factor", "at": "one factor"},
     "bayes_factor": {"missing": "nothing is missing"},
+    "order_effects": {"frame": "every row is needed, and other columns are not looked at"},
     "read_people": {"recipe": "the name has a recipe of its own"},
     "testbeds.Pioneer": {"heading_drift": "positive is a word of the description, not the range"},
     "teleoperation.packet_delay": {"sent": "the answer holds a function"},
@@ -191,7 +192,6 @@ KNOWN = {
     },
     "virtual_study": {
         "n": "foreign errors",
-        "testbed": "no difference",
     },
     "VirtualStudy.analysis": {
         "conditions": "foreign errors, no argument named",

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import open_unit, positive
+from trustlab.models.checks import between, open_unit, positive
 from trustlab.studies.pairs import holm, normality_of_differences
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.table import Tested, labelled
@@ -238,7 +238,7 @@ def bayes_factor(
     dv, within, subject : hashable
         Columns with the score, the condition and the subject.
     scale : float
-        Scale of the Cauchy prior, positive; 1/√2 as in R's BayesFactor ("medium").
+        Scale of the Cauchy prior, from 1e-6 to 1e6; 1/√2 as in R's BayesFactor ("medium").
     order : sequence, optional
         The order of the conditions.
     missing : {"raise", "listwise"}
@@ -270,7 +270,7 @@ def bayes_factor(
     0    C1 − C2    1.5  36
     1    C1 − C3  108.5  36
     """
-    scale = positive("scale", scale)
+    scale = between("scale", scale, 1e-6, 1e6)
     result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
     rows = [
         (f"{pair.a} − {pair.b}", pair.t, log_jzs_bayes_factor(pair.t, result.n, scale))

@@ -144,8 +144,11 @@ def winsorize(
     of_class("data", data, pd.DataFrame, "with a row per subject and condition")
     people = label_column(data, "subject", subject)
     scores = numbers_of(column_of(data, "dv", dv), "dv")
+    levels = levels_of(label_column(data, "within", within), "within")
+    if not levels:
+        raise ValueError("data has no rows")
     changes, limits = [], []
-    for condition in levels_of(label_column(data, "within", within), "within"):
+    for condition in levels:
         rows = np.flatnonzero((data[within] == condition) & np.isfinite(scores))
         old = scores[rows]
         low, high = _limits(old, outside, k) if old.size > 2 else (np.nan, np.nan)
