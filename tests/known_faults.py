@@ -146,9 +146,6 @@ KNOWN = {
     "optimal_allocation": {
         "sample_time": "no difference",
     },
-    "order_effects": {
-        "frame": "foreign errors, no difference",
-    },
     "ordinal_model": {
         "covariates": "foreign errors",
     },

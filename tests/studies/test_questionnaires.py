@@ -121,7 +121,7 @@ def test_bad_answers_are_named(tlx, row, column, value, words):
     ("weights", "words"),
     [
         (weights_of(s1=[5, "0", 4, 3, 2, 1]), "column 'physical' holds '0' in row 0"),
-        (weights_of(s1=WEIGHTS, s2=[5, 5, 5, 1, 0, 0]), "no choices .* 1.0, 0.0, 0.0. of 's2'"),
+        (weights_of(s1=WEIGHTS, s2=[5, 5, 5, 1, 0, 0]), "0.0. of 's2' are not those of fifteen"),
         (weights_of(s1=WEIGHTS), "weights: there are none for subject 's2'"),
         (pd.concat([weights_of(s1=WEIGHTS)] * 2), "weights must have one row per subject"),
     ],

@@ -372,16 +372,13 @@ def _coded(questionnaire: Questionnaire, answers: pd.DataFrame) -> dict[str, pd.
 def _weights(weights: pd.DataFrame, answers: pd.DataFrame, subject: str) -> pd.DataFrame:
     """Return a weight per item for every row of the answers."""
     w = _read("weights", weights, answers.columns, subject, None)
-    w.index = w.index.get_level_values("subject")
-    k = w.shape[1]
-    bad = (w.sum(axis=1) != k * (k - 1) / 2) | ((w < 0) | (w >= k) | (w % 1.0 != 0.0)).any(axis=1)
-    for label in w.index[bad]:
-        raise ValueError(
-            f"weights: no choices between two items give {w.loc[label].tolist()} of {label!r}"
-        )
-    people = answers.index.get_level_values("subject")
+    w.index, people = (table.index.get_level_values("subject") for table in (w, answers))
     for label in people.difference(w.index):
         raise ValueError(f"weights: there are none for subject {label!r}")
+    for label in w.index[(w < 0.0).any(axis=1) | (w.sum(axis=1) != 15.0)]:
+        raise ValueError(
+            f"weights: {w.loc[label].tolist()} of {label!r} are not those of fifteen choices"
+        )
     return w.loc[people].set_axis(answers.index)
 
 
