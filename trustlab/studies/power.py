@@ -54,6 +54,8 @@ ADJUSTMENTS: dict[str, Any] = {"none": np.asarray, "bonferroni": bonferroni, "ho
 # The correction that `repeated_measures` makes by default.
 USUAL_TEST = "greenhouse-geisser"
 MOST_N = 100_000
+# The search for the smallest n ends beyond this number.
+MOST_TRIED = 1500
 # Scores drawn at once.
 SCORES = 1 << 20
 
@@ -224,8 +226,7 @@ class Conditions:
                 f"{mean.shape} and {covariance.shape}"
             )
         least, *_, greatest = np.linalg.eigvalsh(covariance)
-        asymmetry = np.abs(covariance - covariance.T).max()
-        if asymmetry > 1e-8 * greatest or least <= 1e-12 * greatest:
+        if not np.allclose(covariance, covariance.T, atol=0.0) or least <= 1e-12 * greatest:
             raise ValueError(
                 f"covariance must be symmetric and positive definite; its least eigenvalue is "
                 f"{least:.6g}, the greatest {greatest:.6g}"
@@ -273,14 +274,14 @@ class Conditions:
             If it is out of range, or all means are the same, so that no factor separates them.
         """
         eta2 = finite_number("effect_size", eta2_partial)
-        if not 0.0 <= eta2 < 1.0:
-            raise ValueError(f"effect_size is a population partial η², in [0, 1), got {eta2}")
-        if eta2 > 0.0 and np.ptp(self.mean) <= 1e-12 * np.abs(self.mean).max():
-            raise ValueError(
-                "effect_size scales differences between means, but all means are the same"
-            )
         centre = self.mean.mean()
         shape = self.mean - centre
+        flat = np.abs(shape).max() <= 1e-12 * np.abs(self.mean).max()
+        if not 0.0 <= eta2 < 1.0 or (eta2 > 0.0 and flat):
+            raise ValueError(
+                f"effect_size is a population partial η², in [0, 1) and 0 where all means are the "
+                f"same, got {eta2}"
+            )
         # η²/(1 − η²) = Σ (μ_j − μ)² / tr M, M the covariance of orthonormal contrasts.
         error = np.trace(self.covariance) - self.covariance.sum() / len(self.labels)
         scale = np.sqrt(eta2 / (1.0 - eta2) * error / ((shape**2).sum() or 1.0))
@@ -569,8 +570,8 @@ class PowerAnalysis(Tested):
                 for axis, value in zip([*others, "test"], values, strict=True)
             )
             power = part["power"]
-            bars = np.maximum([power - part["ci_low"], part["ci_high"] - power], 0.0)
-            drawn = axes.errorbar(part[against], power, bars, fmt="o-", capsize=3, label=label)
+            ends = [power - part["ci_low"], part["ci_high"] - power]
+            drawn = axes.errorbar(part[against], power, ends, fmt="o-", capsize=3, label=label)
             axes.plot(part[against], part["closed_form"], "x", ms=8, color=drawn[0].get_color())
         axes.set(xlabel=AXES[against], ylabel="power of F", ylim=(-0.02, 1.02))
         axes.set_title(f"{self.origin}; level {self.simulation.alpha:g}", fontsize="small")
@@ -778,7 +779,6 @@ def smallest_n(
     effect_size: float | None = None,
     pair: tuple | None = None,
     test: str | None = None,
-    most: int = 2000,
     simulation: Simulation = USUAL_SIMULATION,
 ) -> SmallestN:
     """
@@ -801,8 +801,6 @@ def smallest_n(
     test : str, optional
         Correction of F, "greenhouse-geisser" (by default), "huynh-feldt" or "none"; of a pair, the
         adjustment of its p-value, "holm" (by default), "bonferroni" or "none".
-    most : int
-        The largest n to try.
     simulation : Simulation
         As for `power_analysis`.
 
@@ -813,7 +811,7 @@ def smallest_n(
     Raises
     ------
     ValueError
-        If an argument is out of range, or even `most` subjects do not reach the power.
+        If an argument is out of range, or even 2,000 subjects do not reach the power.
 
     Examples
     --------
@@ -834,34 +832,32 @@ def smallest_n(
     if effect_size is not None:
         population = population.with_effect(effect_size)
     target = open_unit("power", power)
-    most = whole_number("most", most, least=3, most=MOST_N)
     mask = None if pair is None else claims_mask([pair], population)
-    if mask is None:
-        test = one_of("test", USUAL_TEST if test is None else test, TESTS)
-        name = f"F, {test}"
-    else:
-        test = one_of("test of a pair", "holm" if test is None else test, ADJUSTMENTS)
-        name = f"{pair[0]} – {pair[1]}, {test}"
+    usual, tests = (USUAL_TEST, TESTS) if pair is None else ("holm", ADJUSTMENTS)
+    test = one_of("test", usual if test is None else test, tests)
+    name = "F" if pair is None else f"{pair[0]} – {pair[1]}"
     counts: dict[int, int] = {}
 
     def enough(n: int) -> bool:
-        tests, pairs = findings(population, n, simulation, mask)
-        counts[n] = int(tests.iloc[0][test] if mask is None else pairs.loc[test, "pairs"])
+        hits, pairs = findings(population, n, simulation, mask)
+        counts[n] = int(hits.iloc[0][test] if mask is None else pairs.loc[test, "pairs"])
         return counts[n] >= target * simulation.replicates
 
     low, high = 2, 3
     while not enough(high):
-        if high == most:
+        if high > MOST_TRIED:
             raise ValueError(
-                f"{most} subjects reach a power of {counts[most] / simulation.replicates:.3g} "
-                f"only, {target:g} was wanted. Raise most=, measure each condition more often, "
-                "which makes people differ less, or look for a greater effect"
+                f"power: {high} subjects reach {counts[high] / simulation.replicates:.3g} only, "
+                f"{target:g} was wanted. Measure each condition more often, which makes people "
+                "differ less, or look for a greater effect"
             )
-        low, high = high, min(2 * high, most)
+        low, high = high, 2 * high
     while high - low > 1:
         n = (low + high) // 2
         low, high = (low, n) if enough(n) else (n, high)
-    row = {"test": name, "wanted": target, "n": high} | _share(counts[high], simulation)
+    row = {"test": f"{name}, {test}", "wanted": target, "n": high} | _share(
+        counts[high], simulation
+    )
     row["whole_squares"] = participants_needed(len(population.labels), high)
-    tests = labelled(pd.DataFrame([row]), population.simulated_origin)
-    return SmallestN(tests, population, simulation)
+    table = labelled(pd.DataFrame([row]), population.simulated_origin)
+    return SmallestN(table, population, simulation)
