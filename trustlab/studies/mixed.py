@@ -6,7 +6,7 @@ participants over the residual variance σ².
 """
 
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain
@@ -21,6 +21,7 @@ from trustlab.models.checks import counted, of_class
 from trustlab.studies.anova import Design, effect_name, partial_eta_interval, subsets
 from trustlab.studies.pairs import compared, estimates_of, level_pairs
 from trustlab.studies.table import (
+    Columns,
     Tested,
     label_column,
     labelled,
@@ -189,10 +190,10 @@ class MixedModel(Tested):
 def mixed_model(
     frame: pd.DataFrame,
     dv: Hashable,
-    within: Hashable | Sequence[Hashable],
+    within: Columns,
     subject: Hashable,
     *,
-    between: Hashable | Sequence[Hashable] = None,
+    between: Columns = None,
     order: Any = None,
 ) -> MixedModel:
     """

@@ -24,6 +24,7 @@ from trustlab.studies.mixed import (
 )
 from trustlab.studies.pairs import estimates_of, holm
 from trustlab.studies.table import (
+    Columns,
     column_of,
     label_column,
     labelled,
@@ -255,10 +256,10 @@ class OrdinalModel(FormulaModel):
 def ordinal_model(
     frame: pd.DataFrame,
     dv: Hashable,
-    within: Hashable | Sequence[Hashable],
+    within: Columns,
     subject: Hashable = "subject",
     *,
-    between: Hashable | Sequence[Hashable] = None,
+    between: Columns = None,
     covariates: Sequence[Hashable] = (),
     order: Any = None,
     points: int = 15,

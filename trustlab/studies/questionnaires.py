@@ -27,8 +27,8 @@ from trustlab.studies.table import (
 )
 
 
-@dataclass(frozen=True, repr=False)
-class Questionnaire(Result):
+@dataclass(frozen=True)
+class Questionnaire:
     """
     A questionnaire whose items are answered on one scale.
 
@@ -66,14 +66,12 @@ class Questionnaire(Result):
     --------
     >>> import trustlab as tl
     >>> ease = tl.studies.Questionnaire("ease", ["quick", "tiring"], 1, 5, reversed=["tiring"])
-    >>> tl.NASA_TLX.message
-    'items answered from 0 to 100: mental, physical, temporal, performance, effort, frustration'
+    >>> tl.NASA_TLX.items
+    ('mental', 'physical', 'temporal', 'performance', 'effort', 'frustration')
     >>> tl.TRUST_CHECKLIST.reversed
     ('deceptive', 'underhanded', 'suspicious', 'wary', 'harmful')
-    >>> ease.table()
-         item  reversed
-    0   quick     False
-    1  tiring      True
+    >>> ease.reversed
+    ('tiring',)
     """
 
     name: str
@@ -91,7 +89,7 @@ class Questionnaire(Result):
         of_class("source", self.source, str)
         of_class("subscales", self.subscales, dict)
         items = labels_of("items", self.items, 1)
-        for name, part in self._parts.items():
+        for name, part in {"reversed": self.reversed, **self.subscales}.items():
             if unknown := {*labels_of(name, part, name in self.subscales)} - {*items}:
                 raise ValueError(f"{name}: {unknown.pop()!r} is none of the items {items}")
         low, high = in_order("low", self.low, "high", self.high)
@@ -100,27 +98,6 @@ class Questionnaire(Result):
             raise ValueError(f"step must divide {low:g} to {high:g} equally, got {self.step:g}")
         flag("task_load", self.task_load)
         self.__dict__.update(items=items, reversed=tuple(self.reversed), low=low, high=high)
-
-    @property
-    def _parts(self) -> dict[str, Sequence[str]]:
-        return {"reversed": self.reversed, **self.subscales}
-
-    @property
-    def title(self) -> str:
-        """Source, or else the name."""
-        return self.source or self.name
-
-    @property
-    def message(self) -> str:
-        """How many items, and their scale."""
-        return (
-            f"items answered from {self.low:g} to {self.high:g}: {', '.join(map(str, self.items))}"
-        )
-
-    def table(self) -> pd.DataFrame:
-        """Return a row per item: item, whether it is reversed, and whether in each subscale."""
-        parts = {name: [item in part for item in self.items] for name, part in self._parts.items()}
-        return pd.DataFrame({"item": self.items, **parts})
 
 
 #: NASA task load index, performance answered from good (0) to poor (100).
@@ -219,7 +196,7 @@ class ScaleScores(Result):
     @property
     def title(self) -> str:
         """The questionnaire."""
-        return self.questionnaire.title
+        return self.questionnaire.source or self.questionnaire.name
 
     @property
     def message(self) -> str:

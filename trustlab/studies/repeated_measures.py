@@ -22,6 +22,7 @@ from trustlab.studies.anova import (
     regress,
 )
 from trustlab.studies.table import (
+    Columns,
     Levels,
     Tested,
     complete_scores,
@@ -271,11 +272,11 @@ def describe(values: np.ndarray) -> pd.DataFrame:
 def repeated_measures(
     frame: pd.DataFrame,
     dv: Hashable,
-    within: Hashable | list[Hashable],
+    within: Columns,
     subject: Hashable,
     *,
-    between: Hashable | list[Hashable] | None = None,
-    covariates: Hashable | list[Hashable] | None = None,
+    between: Columns = None,
+    covariates: Columns = None,
     missing: str = "raise",
     order: Any = None,
     correction: str = "greenhouse-geisser",

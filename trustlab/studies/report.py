@@ -46,15 +46,12 @@ class StudyReport(Result):
         What kind of data these are where they were not measured; else empty.
     """
 
+    title = "Report"
+
     result: Any
     message: str
     tables: dict[str, pd.DataFrame]
     origin: str
-
-    @property
-    def title(self) -> str:
-        """The origin, where data were not measured."""
-        return f"Report [{self.origin}]" if self.origin else "Report"
 
     def table(self) -> pd.DataFrame:
         """Return what `result.table()` does, or the table itself."""

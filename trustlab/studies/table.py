@@ -178,14 +178,15 @@ class Tested(Result):
         return self.apa()
 
 
-def names_of(names: Any) -> list[Hashable]:
+Columns = Hashable | list[Hashable] | None
+Levels = dict[Hashable, tuple]
+
+
+def names_of(names: Columns) -> list[Hashable]:
     """Return a list of columns; one name alone or None is a list of one or none."""
     if isinstance(names, list):
         return names
     return [] if names is None else [names]
-
-
-Levels = dict[Hashable, tuple]
 
 
 def read_factors(
