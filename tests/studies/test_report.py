@@ -51,6 +51,9 @@ def test_text_and_tables_are_those_of_the_analysis(make, tmp_path):
         words = re.findall(r"[a-z]\w*_\w+", text.replace(r"\_", "_"))
         assert set(words) <= {"d_z", "hard_", "eta_p", "eta_G"}, set(words)
         assert "greenhouse" not in text
+    for interval in (r"$\eta_p^2$, 90\% CI low", r"$d_z$, 95\% CI low"):
+        assert interval in text
+    assert "90% CI [" in found.message
 
 
 def read_again(study, folder):
