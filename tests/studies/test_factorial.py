@@ -111,6 +111,11 @@ def test_what_a_reader_sees():
             {"between": ["group", "same"]},
             r"effects of \['group', 'same'\] are not defined",
         ),
+        (
+            lambda f: f[f["person"].isin([0, 1, 2, 9])],
+            {"between": "group"},
+            "between: every group of column 'group', .* needs two complete participants",
+        ),
         (lambda f: f.assign(age=1), {"covariates": "age"}, r"effects of \['age'\] are not defined"),
         (
             lambda f: f.assign(age=f.index),

@@ -192,6 +192,12 @@ def test_a_missing_label_is_not_the_reference_level(kind):
         tl.ordinal_model(frame, "rating", "mode", "person")
 
 
+@pytest.mark.parametrize("formula", ["~ mode", " ~ mode", "score", "a ~ b ~ c"])
+def test_a_formula_has_a_score_and_terms(formula):
+    with pytest.raises(ValueError, match="formula must be “score ~ terms”"):
+        tl.formula_model(formula, drawn(), groups="person")
+
+
 def test_a_factor_of_one_level_is_not_tested():
     frame = drawn(12).assign(mode="a")
     with pytest.raises(ValueError, match="an effect is not estimable"):

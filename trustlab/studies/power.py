@@ -743,11 +743,6 @@ class SmallestN(Tested):
     population: Conditions
     simulation: Simulation
 
-    @property
-    def message(self) -> str:
-        """Where the numbers come from."""
-        return self.origin
-
     def apa(self) -> str:
         """
         Return the sentences of a methods section: the number, and all that was assumed for it.

@@ -370,22 +370,21 @@ def _design(
     groups: Levels,
     covariates: list[Hashable],
 ) -> Design:
-    """Return the design of the subjects whose scores are complete; groups without any are left."""
+    """Return the design of the subjects whose scores are complete."""
     people = frame.drop_duplicates(subject).set_index(subject).loc[scores.index]
-    there, codes, numbers = {}, {}, {}
+    codes, numbers = {}, {}
     for name, listed in groups.items():
         members = people[name].tolist()
-        there[name] = tuple(level for level in listed if level in members)
-        if len(there[name]) < 2 or min(map(members.count, there[name])) < 2:
+        if min(map(members.count, listed)) < 2:
             raise ValueError(
-                f"between: column {name!r} needs two groups or more, with two complete "
-                f"participants in each, got {members}"
+                f"between: every group of column {name!r}, {listed}, needs two complete "
+                f"participants, got {members}"
             )
-        codes[name] = np.array([*map(there[name].index, members)])
+        codes[name] = np.array([*map(listed.index, members)])
     for name in covariates:
         x = finite_array("covariates", numbers_of(people[name], "covariates"))
         numbers[name] = (x - x.mean()) / (x.std() or 1.0)
-    design = Design(len(scores), levels, there, codes, numbers)
+    design = Design(len(scores), levels, groups, codes, numbers)
     columns = design.matrix.shape[1]
     if np.linalg.matrix_rank(design.matrix) < columns:
         raise ValueError(

@@ -91,8 +91,8 @@ def origin_of(frame: pd.DataFrame) -> str:
         if frame.attrs.get(kind) is True:
             return f"{kind} data"
     origin = frame.attrs.get("origin", "")
-    if origin and isinstance(origin, str):
-        return origin
+    if origin:
+        return str(origin)
     marked = frame.get("synthetic", pd.Series(dtype=bool)) == True  # noqa: E712, no mark is NaN
     if not marked.any():
         return ""
