@@ -265,10 +265,14 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
             "eta2_generalized": ss / (ss + errors),
             "ss_subjects": subjects,
         }
-        tests.append(pd.DataFrame(test | shape))
+        tests.append(test | shape)
     labels = [effect_name(*effect) for effect in design.effects]
-    table = pd.concat(tests, keys=labels, names=["effect", "study"]).swaplevel()
-    return table.sort_index(level="study", sort_remaining=False)
+    index = pd.MultiIndex.from_product([range(len(scores)), labels], names=["study", "effect"])
+    table = {
+        name: np.column_stack([np.broadcast_to(test[name], len(scores)) for test in tests]).ravel()
+        for name in tests[0]
+    }
+    return pd.DataFrame(table, index)
 
 
 def effect_name(block: tuple, names: tuple) -> str:
