@@ -98,9 +98,6 @@ KNOWN = {
     "ArxResult.table": {
         "level": "no difference",
     },
-    "bayes_factor": {
-        "scale": "no difference",
-    },
     "channel_run": {
         "beta": "no difference",
         "read_out": "no difference",

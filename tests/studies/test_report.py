@@ -80,6 +80,7 @@ def test_the_comparison_of_two_groups_is_a_row(tmp_path):
     assert "statistic" not in tables[-1]
 
 
+TASKS = ["easy", "hard_#1"]
 ONE = frame_of()[lambda f: f["task"] == "easy"]
 PART = {"dv": "score", "within": "scheme", "subject": "person"}
 NOISE = np.random.default_rng(0).normal(size=(4, 9, 1))
@@ -91,6 +92,7 @@ RESULTS = {
     "a plan": lambda: tl.latin_square_design(["A", "B", "C"], 6),
     "a mixed model": lambda: tl.mixed_model(frame_of(), **PART | {"within": ["scheme", "task"]}),
     "scores": lambda: tl.score(ANSWERS, tl.NASA_TLX),
+    "a printed study": lambda: tl.published_studies()["uav.tlx"],
 }
 
 
@@ -156,6 +158,13 @@ def test_fits_by_participant_are_one_table(fit, pilot, tmp_path):
     page = study.write(tmp_path / "fits.html").read_text()
     assert "<th>human β</th>" in page
     assert "human_" not in page
+
+
+def test_results_of_one_kind_are_one_table():
+    both = {name: tl.paired_t_test(frame_of().query("task == @name"), **PART) for name in TASKS}
+    found = tl.report(both)
+    assert found.table()["t"].tolist() == [both[name].t for name in TASKS]
+    assert found.message.startswith(f"easy: {both['easy'].apa()}")
 
 
 def test_what_no_document_can_show_is_refused(tmp_path):

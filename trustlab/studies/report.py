@@ -133,18 +133,18 @@ def report(
     (36, 5)
     """
     if isinstance(frame, Mapping):
-        return _fits(frame, of_class("thresholds", thresholds or {}, dict))
+        return _side_by_side(frame, of_class("thresholds", thresholds or {}, dict))
     if thresholds is not None:
         raise ValueError("thresholds are printed beside fits by name: give frame={name: fit, …}")
     result = frame if dv is None else repeated_measures(frame, dv, within, subject, **options)
     if isinstance(result, RepeatedMeasures):
         return StudyReport(result, result.message, _section(result), result.origin)
-    if not isinstance(result, pd.DataFrame | Result):
+    if not hasattr(result, "table") and not isinstance(result, pd.DataFrame):
         raise ValueError(
             "frame must be a table with dv=, within=, subject=, or a result, got "
             f"{type(frame).__name__}"
         )
-    table = result.table() if isinstance(result, Result) else result
+    table = result if isinstance(result, pd.DataFrame) else result.table()
     named = _with_names(table)
     if len(named) == 1 and named.shape[1] > _WIDE:
         named = printed(named).T.reset_index().set_axis(["statistic", "value"], axis=1)
@@ -171,26 +171,30 @@ def _section(result: RepeatedMeasures) -> dict[str, pd.DataFrame]:
     return tables
 
 
-def _fits(fits: Mapping[Hashable, Any], thresholds: Mapping[Hashable, Any]) -> StudyReport:
-    """Return fits as one table, a row for each: estimates with standard errors."""
-    if not fits or (thresholds and set(thresholds) != set(fits)):
+def _side_by_side(
+    results: Mapping[Hashable, Any], thresholds: Mapping[Hashable, Any]
+) -> StudyReport:
+    """Return results of one kind as one table; of fits a row for each: estimates with errors."""
+    if not results or (thresholds and set(thresholds) != set(results)):
         raise ValueError(
-            f"frame is a dict of fits, {shown([*fits])}, and thresholds must have one for each, "
-            f"got {shown([*thresholds])}"
+            f"frame is a dict of results, {shown([*results])}, and thresholds must have one for "
+            f"each, got {shown([*thresholds])}"
         )
-    whole = pd.concat({name: fit.table() for name, fit in fits.items()}, names=["of"])
-    origins = {_origin(fit, whole) for fit in fits.values()} - {""}
-    said = {name: _sentences(fit) for name, fit in fits.items()}
+    whole = pd.concat({name: result.table() for name, result in results.items()}, names=["of"])
+    origins = {_origin(result, whole) for result in results.values()} - {""}
+    said = {name: _sentences(result) for name, result in results.items()}
     text = " ".join(f"{name}: {sentences}" for name, sentences in said.items() if sentences)
-    rows = []
-    for name, fit in fits.items():
-        texts = printed(_estimates(fit)).replace({"standard error": {"": "–"}})
-        cells = texts["value"] + " ± " + texts["standard error"]
-        row = {"of": f"{name}{'' if fit.success else ' (the fit failed)'}"}
-        row |= dict(zip(texts["parameter"], cells, strict=True))
-        rows.append(row | (_chosen(thresholds[name]) if thresholds else {}))
-    title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
-    table = pd.DataFrame(rows).fillna("")
+    title, table = "Results", whole
+    if {"value", "stderr"} <= set(whole):
+        title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
+        rows = []
+        for name, fit in results.items():
+            texts = printed(_estimates(fit)).replace({"standard error": {"": "–"}})
+            cells = texts["value"] + " ± " + texts["standard error"]
+            row = {"of": f"{name}{'' if fit.success else ' (the fit failed)'}"}
+            row |= dict(zip(texts["parameter"], cells, strict=True))
+            rows.append(row | (_chosen(thresholds[name]) if thresholds else {}))
+        table = pd.DataFrame(rows).fillna("")
     return StudyReport(whole, text, {title: table}, ", ".join(sorted(origins)))
 
 

@@ -71,7 +71,8 @@ def labels_of(name: str, values: object, least: int) -> tuple[Hashable, ...]:
         raise ValueError(f"{name} must be a list of labels, got {values!r}")
     labels = tuple(value.item() if isinstance(value, np.generic) else value for value in values)
     for label in labels:
-        if isinstance(label, bool | None) or label != label or not str(label).strip():
+        usable = isinstance(label, Hashable) and not isinstance(label, bool)
+        if not usable or pd.isna([label]).any() or not str(label).strip():
             raise ValueError(f"{name}: {label!r} is no label, a number or a text that is not empty")
         if labels.count(label) > 1:
             raise ValueError(f"{name} must differ from one another, but {label!r} occurs twice")
