@@ -11,7 +11,8 @@ import pandas as pd
 import trustlab as tl
 from benchmarks.timing import Row, beside, same, within
 from trustlab.studies import Simulation, graded_covariance
-from trustlab.studies.pairs import condition_pairs
+from trustlab.studies.anova import Design, regress
+from trustlab.studies.pairs import differences, level_pairs
 
 STUDIES = 10_000
 
@@ -66,7 +67,9 @@ def analyses(shape: tuple[int, ...], limit: float, least: float | None) -> Itera
     peer = "pingouin rm_anova, a loop, its time scaled"
     yield beside(work, batch, peer, loop, least=least, turns=3, scale=scale)
     if len(shape) == 1:
-        both = lambda: (batch(), condition_pairs(scores))  # noqa: E731
+        design = Design(36, {"A": range(shape[0])})
+        weights = level_pairs(design, "A")[1]
+        both = lambda: (batch(), differences(regress(scores, design), weights))  # noqa: E731
         peer = "pingouin rm_anova and pairwise_tests, a loop, its time scaled"
         yield beside(f"{work}, and all pairs", both, peer, pairs, least=least, turns=3, scale=scale)
 

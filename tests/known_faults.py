@@ -37,7 +37,6 @@ ALLOWED = {
     "repeated_measures": {"missing": "nothing is missing"},
     "run_correction": {"": "measures its own time"},
     "simulate_allocation": {"mode": "none of 50 samples is near a threshold"},
-    "smallest_n": {"most": "fewer suffice"},
     "FitResult.residuals": {"output": "the example has one output"},
     "FitResult.residual_correlations": {"output": "the example has one output"},
     "latin_square_design": {"whole_squares": "eight are whole squares"},
@@ -47,6 +46,7 @@ ALLOWED = {
     "MixedModel.pairs": {"factor": "one factor"},
     "RepeatedMeasures.pairs": {"factor": "one factor", "at": "one factor"},
     "bayes_factor": {"missing": "nothing is missing"},
+    "order_effects": {"frame": "every row is needed, and other columns are not looked at"},
     "read_people": {"recipe": "the name has a recipe of its own"},
     "testbeds.Pioneer": {"heading_drift": "positive is a word of the description, not the range"},
     "teleoperation.packet_delay": {"sent": "the answer holds a function"},
@@ -97,9 +97,6 @@ KNOWN = {
     "ArxResult.table": {
         "level": "no difference",
     },
-    "bayes_factor": {
-        "scale": "no difference",
-    },
     "channel_run": {
         "beta": "no difference",
         "read_out": "no difference",
@@ -144,9 +141,6 @@ KNOWN = {
     "optimal_allocation": {
         "sample_time": "no difference",
     },
-    "order_effects": {
-        "frame": "foreign errors, no difference",
-    },
     "ordinal_model": {
         "covariates": "foreign errors",
     },
@@ -190,7 +184,6 @@ KNOWN = {
     },
     "virtual_study": {
         "n": "foreign errors",
-        "testbed": "no difference",
     },
     "VirtualStudy.analysis": {
         "conditions": "foreign errors, no argument named",

@@ -19,8 +19,8 @@ def reference(name):
 def analysed_set(own):
     """The analysis of a published data set, rows in scrambled order."""
     frame = pd.DataFrame(own["columns"]).sample(frac=1.0, random_state=0)
-    between = own["between"] or None
-    return tl.repeated_measures(frame, own["dv"], own["within"], own["id"], between=between)
+    between = {"between": own["between"], "covariates": own["covariate"]}
+    return tl.repeated_measures(frame, own["dv"], own["within"], own["id"], **between)
 
 
 def long(values, labels="abcdefghij"):

@@ -132,6 +132,16 @@ def test_adjusted_differences_do_not_see_carry_over_and_raw_means_do():
     np.testing.assert_allclose(carried["p"], clean["p"], rtol=1e-6)
 
 
+def test_categories_that_do_not_occur_and_columns_named_twice():
+    frame = williams()
+    ordered = pd.Categorical(frame["condition"], ["never", *"DCBA"])
+    found, listed = run(frame.assign(condition=ordered)), run(frame)
+    pd.testing.assert_frame_equal(found.table(), listed.table())
+    assert found.pairs()["a"].tolist() == [*"DDDCCB"]
+    with pytest.raises(ValueError, match="columns must be different"):
+        tl.order_effects(frame, "score", "position", "position")
+
+
 def test_a_score_that_is_missing_is_named():
     with pytest.raises(ValueError, match="subject 1 has no score in condition 3"):
         run(williams().drop(index=2))

@@ -109,13 +109,44 @@ def test_what_a_reader_sees():
         (
             lambda f: f.assign(same=f["group"]),
             {"between": ["group", "same"]},
-            r"some combination of \['group', 'same'\] has no participant",
+            r"effects of \['group', 'same'\] are not defined",
+        ),
+        (
+            lambda f: f[f["person"].isin([0, 1, 2, 9])],
+            {"between": "group"},
+            "between: every group of column 'group', .* needs two complete participants",
+        ),
+        (lambda f: f.assign(age=1), {"covariates": "age"}, r"effects of \['age'\] are not defined"),
+        (
+            lambda f: f.assign(age=f.index),
+            {"covariates": ["age"]},
+            "subject 0 has several labels in column 'age'",
+        ),
+        (
+            lambda f: f.assign(age=f["person"].where(f["person"] > 2)),
+            {"covariates": "age"},
+            "covariates: column 'age' has no label in row 0",
         ),
     ],
 )
 def test_bad_tables_are_refused(change, arguments, message):
     with pytest.raises(ValueError, match=message):
         run(change(two_way()), **arguments)
+
+
+def test_a_covariate_has_no_line_in_the_figure_and_adjusts_groups():
+    """Oracle: least squares of the participants' means on group and covariate."""
+    frame = two_way().assign(age=lambda f: 20.0 + (7 * f["person"]) % 11)
+    alone = run(frame, covariates="age")
+    assert alone.plot().get_legend().get_title().get_text() == "B"
+    one = run(frame[frame["B"] == "b0"], within="A", covariates="age").plot()
+    assert one.get_legend() is None
+    row = run(frame, between="group", covariates=["age"]).pairs("group").loc[0]
+    people = frame.groupby("person").agg({"score": "mean", "age": "first", "group": "first"})
+    x = np.column_stack([people["group"] == "expert", people["age"], np.ones(10)])
+    slope = np.linalg.lstsq(x, people["score"])[0][0]
+    assert row["mean_difference"] == pytest.approx(slope, rel=1e-9)
+    assert row["df"] == 10 - 3
 
 
 def test_groups_are_compared_within_groups():

@@ -19,16 +19,19 @@ ONE = {"dv": "score", "within": "mode", "subject": "person"}
 ANALYSES = {
     "one factor": lambda f: tl.repeated_measures(f, **ONE).table(),
     "its pairs": lambda f: tl.repeated_measures(f, **ONE).pairs(),
-    "its pairs by ranks": lambda f: tl.repeated_measures(f, **ONE).pairs(method="wilcoxon"),
     "its assumptions": lambda f: tl.repeated_measures(f, **ONE).assumptions(),
     "two factors": lambda f: two(f).table(),
     "their pairs": lambda f: two(f).pairs("mode", at="task"),
     "groups": lambda f: two(f, between="group").table(),
     "pairs of groups": lambda f: two(f, between="group").pairs("group", at="mode"),
-    "paired t-test": lambda f: tl.paired_t_test(f[f["mode"] < "c"], **ONE).table(),
+    "paired t-test": lambda f: tl.paired_t_test(f[f["mode"].astype(str) < "c"], **ONE).table(),
     "equivalence": lambda f: tl.equivalence(f, **ONE, bound=0.5 * f["score"].std()),
-    "Bayes factors": lambda f: tl.bayes_factor(f, **ONE, method="jzs"),
+    "Bayes factors": lambda f: tl.bayes_factor(f, **ONE),
     "mixed model": lambda f: tl.mixed_model(f, **ONE).table(),
+    "mixed model of groups": lambda f: two_mixed(f).table(),
+    "pairs of its groups": lambda f: two_mixed(f).pairs("group", at="mode"),
+    "covariates": lambda f: two(f, covariates=["person_number"]).table(),
+    "winsorizing": lambda f: tl.winsorize(f, *ONE.values(), outside="iqr", k=0.5, to="next").limits,
     "formula model": lambda f: tl.formula_model("score ~ mode", f, groups="person").table(),
     "ordinal model": lambda f: tl.ordinal_model(in_thirds(f), *ONE.values()).table(),
     "its odds ratios": lambda f: tl.ordinal_model(in_thirds(f), *ONE.values()).pairs(),
@@ -53,6 +56,10 @@ def two(frame, **more):
     return tl.repeated_measures(frame, "score", ["mode", "task"], "person", **more)
 
 
+def two_mixed(frame):
+    return tl.mixed_model(frame, "score", ["mode", "task"], "person", between="group")
+
+
 def table(seed, several):
     """Scores of nine people, five of them in a group, in three modes and two tasks, or one."""
     rng = np.random.default_rng(seed)
@@ -60,7 +67,8 @@ def table(seed, several):
     index = pd.MultiIndex.from_product(cells, names=["person", "mode", "task"])
     frame = index.to_frame(index=False)
     scores = rng.normal(size=len(frame)) + rng.normal(size=9).repeat(len(frame) // 9)
-    return frame.assign(score=scores, group=np.where(frame["person"] < 5, "l", "r"))
+    groups = np.where(frame["person"] < 5, "l", "r")
+    return frame.assign(score=scores, group=groups, person_number=frame["person"] ** 2)
 
 
 def numbers(name, frame):
@@ -79,7 +87,7 @@ def changed(frame, rng, unit, origin):
 
 
 def several(name):
-    return any(word in name for word in ("two", "their", "groups"))
+    return any(word in name for word in ("two", "their", "groups", "covariates"))
 
 
 @pytest.mark.parametrize("name", ANALYSES)
@@ -95,6 +103,17 @@ def test_rows_names_and_units_do_not_matter(name, seed, unit, origin):
     pd.testing.assert_frame_equal(
         numbers(name, other), numbers(name, frame), rtol=1e-6, atol=1e-9, check_dtype=False
     )
+
+
+@pytest.mark.parametrize("labels", ["category", "str", "object"])
+@pytest.mark.parametrize("name", ANALYSES)
+def test_types_of_columns_do_not_matter(name, labels):
+    frame = table(2, several(name))
+    types = {"mode": labels, "person": "Int64" if labels == "object" else "category"}
+    other = frame.astype(types | {"score": "Float64", "group": labels})
+    if "ordinal" in name or "odds" in name or "formula" in name:
+        other = other.astype({"score": float})  # a rating, or a name in a formula
+    pd.testing.assert_frame_equal(numbers(name, other), numbers(name, frame), check_dtype=False)
 
 
 @pytest.mark.parametrize("name", ANALYSES)

@@ -4,6 +4,8 @@ search without slopes, the ANOVA, lme4 on published data (reference/formula_mode
 test_against_r.py.
 """
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -123,13 +125,15 @@ def test_pairs_without_missing_cells_are_those_of_the_anova(columns, factor):
 
 
 def test_the_call_that_an_error_recommends_works_as_typed():
-    frame = drawn(14, seed=3)
-    with pytest.raises(ValueError, match=r"missing cells.*tl\.mixed_model with the same arguments"):
-        tl.repeated_measures(frame.drop(index=[4, 17, 40]), **GROUPED)
-    model = tl.mixed_model(frame.drop(index=[4, 17, 40]), **GROUPED)
+    whole = drawn(14, seed=3)
+    frame = whole.drop(index=[4, 17, 40])
+    with pytest.raises(ValueError, match="missing cells") as error:
+        tl.repeated_measures(frame, **GROUPED, correction="none", alpha=0.01)
+    call = re.search(r"tl\.mixed_model\(.*\)(?=, which)", str(error.value)).group()
+    model = eval(call, {"tl": tl, "frame": frame})
     assert model.table()["effect"].tolist() == ["group", "mode", "group × mode"]
     assert "(N = 14, 3 cells missing): group was not significant, F(1, 12)" in model.apa()
-    one = tl.mixed_model(frame.drop(index=[4]), **GROUPED)
+    one = tl.mixed_model(whole.drop(index=[4]), **GROUPED)
     assert "(N = 14, 1 cell missing)" in one.apa()
     assert model.apa() in tl.report(model).message
     with pytest.raises(AttributeError, match="a row per effect"):
@@ -186,6 +190,12 @@ def test_a_missing_label_is_not_the_reference_level(kind):
     tl.formula_model("score ~ mode", frame.dropna(), groups="person")
     with pytest.raises(ValueError, match="within: column 'mode' has no label in row 3"):
         tl.ordinal_model(frame, "rating", "mode", "person")
+
+
+@pytest.mark.parametrize("formula", ["~ mode", " ~ mode", "score", "a ~ b ~ c"])
+def test_a_formula_has_a_score_and_terms(formula):
+    with pytest.raises(ValueError, match="formula must be “score ~ terms”"):
+        tl.formula_model(formula, drawn(), groups="person")
 
 
 def test_a_factor_of_one_level_is_not_tested():

@@ -45,6 +45,18 @@ def test_a_covariate_agrees_with_clmm2():
     assert model.log_likelihood == pytest.approx(R["proportional"]["location"], abs=1e-4)
 
 
+def test_a_covariate_of_any_name_is_itself():
+    """One called answer was taken for the ratings."""
+    frame = ratings().rename(columns={"trial": "answer"})
+    frame["answer"] = frame["answer"].map({"x": 0, "y": 1, "z": 2})
+    call = {"dv": "trust", "within": "mode", "subject": "person"}
+    named = tl.ordinal_model(frame, **call, covariates=["answer"]).table()
+    other = frame.rename(columns={"answer": "t"})
+    pd.testing.assert_series_equal(
+        named["chi2"], tl.ordinal_model(other, **call, covariates=["t"]).table()["chi2"]
+    )
+
+
 def outcomes(name):
     """A row for every success and failure of a reference, and how to fit them."""
     own = BINARY[name]
@@ -178,9 +190,7 @@ def test_groups_sentences_and_speed():
     assert time.process_time() - started < 3.0
     assert model.table()["term"].tolist() == ["group", "mode", "group:mode"]
     assert model.probabilities()["mode"].unique().tolist() == [*"dcba"]
-    sentence = (
-        "A cumulative-link mixed model of trust with random intercepts (20 people, 240 ratings)"
-    )
+    sentence = "A cumulative-link mixed model of trust with random intercepts (20 people, 240 obs"
     for words in (sentence, "mode, χ²(3) = ", "novice × c"):
         assert words in model.apa()
     assert model.apa() == model.message == tl.report(model).message

@@ -3,8 +3,6 @@ The paired t-test, equivalence and Bayes factors. Oracles: R (t.test, BayesFacto
 reference/paired_t_test.R, reference/evidence.R), mpmath, brute force, closed forms, simulation.
 """
 
-import itertools
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ from trustlab.studies.paired import log_jzs_bayes_factor
 REFERENCE = reference("paired_t_test")["sets"]
 SETS = reference("evidence")["sets"]
 SAME = ["mean_difference", "sd_difference", "ci_low", "ci_high", "t", "df", "p", "d_z", "d_av"]
-SAME += ["correlation", "wilcoxon_v", "wilcoxon_p"]
+SAME += ["correlation"]
 
 
 def pair_of(a, b):
@@ -34,23 +32,9 @@ def test_agrees_with_r(name):
         assert getattr(found, key) == pytest.approx(own[key], rel=1e-9, abs=1e-13), key
     assert found.shapiro_w == pytest.approx(own["shapiro_w"], rel=1e-7)
     assert found.shapiro_p == pytest.approx(own["shapiro_p"], rel=1e-6)
-    assert ("exact" in found.wilcoxon_method) == ("exact" in own["wilcoxon_method"])
     narrow = run(own["a"], own["b"], confidence=0.9)
     limits = [own["ci90_low"], own["ci90_high"]]
     assert [narrow.ci_low, narrow.ci_high] == pytest.approx(limits, rel=1e-9, abs=1e-12)
-
-
-def test_wilcoxon_is_exact_by_brute_force():
-    """Oracle: all 2^9 signs."""
-    d = np.array([0.3, -1.1, 2.4, 3.1, -0.7, 4.9, 1.6, -2.0, 5.5])
-    ranks = np.argsort(np.argsort(np.abs(d))) + 1
-    v = ranks[d > 0].sum()
-    every = np.array([ranks @ signs for signs in itertools.product([0, 1], repeat=9)])
-    p = 2 * min(np.mean(every >= v), np.mean(every <= v))
-    found = run(d, np.zeros(9))
-    assert (found.wilcoxon_v, found.wilcoxon_p) == (v, pytest.approx(p, rel=1e-12))
-    assert found.rank_biserial == pytest.approx((v - (45 - v)) / 45)
-    assert np.isnan(found.correlation)
 
 
 def test_tables_and_sentence():
@@ -71,19 +55,6 @@ def test_tables_and_sentence():
     assert ("did not differ" in text) == (found.p >= 0.05)
     assert "t(35)" in found._repr_html_()
     assert "reconstructed data" in text
-
-
-def test_ties_do_not_depend_on_the_unit():
-    """
-    0.3 − 0.2 and 0.2 − 0.1 differ in floating point, and are a tie; so are their tenfolds. Oracle:
-    whole numbers.
-    """
-    a, b = np.array([3, 2, 4, 7, 9, 11, 20]), np.array([2, 1, 1, 3, 8, 7, 14])
-    whole = run(a, b)
-    for unit in (0.1, 0.01, 1e-20, 0.7e5):
-        found = run(a * unit, b * unit)
-        assert found.wilcoxon_p == pytest.approx(whole.wilcoxon_p, rel=1e-12)
-        assert found.wilcoxon_v == whole.wilcoxon_v
 
 
 @pytest.mark.parametrize("name", SETS)
@@ -119,21 +90,6 @@ def test_equivalence_and_bayes_factors_agree_with_r(name):
 def test_bayes_factors_of_any_t(t, n, scale, expected):
     """Oracle: the integral with 40 digits, by adaptive quadrature (mpmath)."""
     assert log_jzs_bayes_factor(t, n, scale) == pytest.approx(expected, rel=1e-12, abs=1e-12)
-
-
-def test_bayes_factor_by_bic_is_the_closed_form():
-    """
-    Masson (2011): ΔBIC = N ln(SSE1/SSE0) + (k1 − k0) ln N with N = n (k − 1); sums of squares
-    written out.
-    """
-    x = np.random.default_rng(1).standard_normal((15, 4)) + np.array([0.0, 0.2, 0.4, 0.9])
-    rest = x - x.mean(0) - x.mean(1, keepdims=True) + x.mean()
-    sse1, sse0 = (rest**2).sum(), ((x - x.mean(1, keepdims=True)) ** 2).sum()
-    delta = 45 * np.log(sse1 / sse0) + 3 * np.log(45)
-    found = tl.bayes_factor(long(x), **COLUMNS).iloc[0]
-    assert found["method"] == "bic"
-    assert found["bf10"] == pytest.approx(np.exp(-delta / 2))
-    assert len(tl.bayes_factor(long(x), **COLUMNS, method="jzs")) == 6
 
 
 def test_shapiro_is_not_defined_beyond_five_thousand_subjects():

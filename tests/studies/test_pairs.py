@@ -5,6 +5,8 @@ Oracles: SciPy, statsmodels, R's p.adjust, theorems; SciPy's noncentral F, simul
 pairs: test_factorial.py; with R: test_against_r.py.
 """
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -15,7 +17,8 @@ import trustlab as tl
 from tests.studies.scores import COLUMNS, drawn, long
 from tests.studies.test_anova import draw
 from trustlab.studies import partial_eta_interval
-from trustlab.studies.pairs import bonferroni, condition_pairs, d_z_interval, holm
+from trustlab.studies.anova import Design, regress
+from trustlab.studies.pairs import bonferroni, d_z_interval, differences, holm, level_pairs
 
 # --- pairs ----------------------------------------------------------------------------------------
 
@@ -38,13 +41,17 @@ def test_adjusted_p_values_leave_nan_out_of_the_family():
     np.testing.assert_allclose(bonferroni(p), [0.02, np.nan, 0.08])
 
 
-def test_a_pair_with_one_difference_has_no_t_test():
+def test_a_pair_with_one_difference_has_no_error():
     array = draw(2, 8, 3)
     array[1, :, 1] = array[1, :, 0] + 0.1
-    pairs = condition_pairs(array)
-    assert np.isnan(pairs.t).tolist() == [[False] * 3, [True, False, False]]
-    assert np.isnan(pairs.p_holm[1]).tolist() == [True, False, False]
-    np.testing.assert_allclose(pairs.p_bonferroni[1, 1:], np.minimum(2.0 * pairs.p[1, 1:], 1.0))
+    design = Design(8, {"mode": range(3)})
+    weights = level_pairs(design, "mode")[1]
+    difference, se = differences(regress(array, design), weights)
+    assert np.isnan(se).tolist() == [[False] * 3, [True, False, False]]
+    for (a, b), mean, error in zip(combinations(range(3), 2), difference.T, se.T, strict=True):
+        own = array[:, :, a] - array[:, :, b]
+        np.testing.assert_allclose(mean, own.mean(axis=1), atol=1e-12)
+        np.testing.assert_allclose(error[0], stats.sem(own[0]), rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,10 @@ def test_a_graded_covariance_has_what_was_asked_for(k, place, share, sd):
     population = Conditions(tuple(range(k)), np.arange(float(k)), matrix)
     assert np.trace(matrix) / k == pytest.approx(sd**2, rel=1e-9)
     assert population.correlation == pytest.approx(rho, abs=1e-9)
-    assert population.epsilon == pytest.approx(epsilon, abs=1e-7)
+    centre = np.eye(k) - 1.0 / k
+    between = centre @ matrix @ centre
+    found = np.trace(between) ** 2 / (d * (between**2).sum())
+    assert found == pytest.approx(epsilon, abs=1e-7)
     assert np.linalg.eigvalsh(matrix)[0] > 0.0
 
 

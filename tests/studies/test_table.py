@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
 from tests.studies.scores import COLUMNS, drawn
-from trustlab.studies.table import complete_scores, read_scores
+from trustlab.studies.table import complete_scores, read_cells
 
 
 def table(n=5):
@@ -61,15 +61,16 @@ TABLES = {
     "no subject": (put(np.nan, "person"), "subject: column 'person' has no label in row 7"),
     "mixed labels": (put(3, "mode"), "mixes types of labels"),
     "one condition": (table().iloc[::3], "'mode' has one condition only"),
-    "two subjects": (table(n=2), "2 complete subjects in column 'person'; at least three"),
+    "two subjects": (table(n=2), "2 complete subjects with scores in 'score'; at least three"),
     "subjects constant": (
         table().assign(score=np.repeat(0.3 * np.arange(5), 3)),
-        "'score' by 'mode': the error variance is zero for mode",
+        "dv or array: the error variance is zero for mode",
     ),
     "a column twice": (
         pd.concat([table(), table()[["mode"]]], axis=1),
         "2 columns are named 'mode'",
     ),
+    "labels that are lists": (put([1], "mode"), r"within: \[1\] in row 7 of 'mode' is no label"),
     "no rows": (table().iloc[:0], "no rows"),
 }
 
@@ -86,7 +87,7 @@ def test_tables_that_are_refused(name):
     [
         ({"dv": "scores"}, r"dv: no column 'scores'; did you mean 'score'\? \(there are person, "),
         ({"within": np.array(["mode"])}, "within: no column array"),
-        ({"subject": "mode"}, "must be different columns"),
+        ({"subject": "mode"}, "columns must be different"),
         ({"order": [["C1"], "C2", "C3"]}, "order must list"),
     ],
 )
@@ -110,16 +111,16 @@ def test_whatever_is_missing_is_named_or_left_out(n, k, data):
     """
     gone = np.array(data.draw(st.lists(st.booleans(), min_size=n * k, max_size=n * k)))
     frame = drawn(n, mode=range(k)).assign(score=np.where(gone, np.nan, 1.0))
-    read = read_scores(frame, *COLUMNS.values())
+    read = read_cells(frame, "score", {"mode": tuple(range(k))}, "person")
     complete = ~gone.reshape(n, k).any(axis=1)
     if gone.any():
         with pytest.raises(ValueError, match=r"missing cells|complete subject"):
-            complete_scores(read)
+            complete_scores(read, "score")
     if complete.sum() < 3:
         with pytest.raises(ValueError, match="complete subject"):
-            complete_scores(read, "listwise")
+            complete_scores(read, "score", "listwise")
         return
-    kept, excluded = complete_scores(read, "listwise")
-    assert np.isfinite(kept.values).all()
-    assert kept.subjects == tuple(np.flatnonzero(complete))
-    assert sorted(kept.subjects + excluded) == list(range(n))
+    kept, excluded = complete_scores(read, "score", "listwise")
+    assert np.isfinite(kept).all(axis=None)
+    assert kept.index.tolist() == np.flatnonzero(complete).tolist()
+    assert sorted([*kept.index, *excluded]) == list(range(n))

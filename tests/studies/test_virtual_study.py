@@ -240,8 +240,11 @@ def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
         ({"conditions": []}, "conditions must have at least 2 labels"),
         ({"n": 2}, "n must be a whole number, 3 or more"),
         ({"assumptions": {"atention_cost": 0.1}}, "did you mean 'attention_cost'"),
-        ({"conditions": ["M", "OM"]}, "did you mean 'OMI'"),
-        ({"conditions": ["C1", "M"]}, "are of several testbeds"),
+        (
+            {"conditions": ["M", "OM"], "testbed": "uav_tracking", "laps": None},
+            "did you mean 'OMI'",
+        ),
+        ({"conditions": ["C1", "M"]}, "a condition must be one of .*, got 'M'"),
     ],
 )
 def test_virtual_study_refuses(arguments, message):

@@ -59,8 +59,7 @@ def test_a_mean_of_whole_points_is_exact(seed):
 def test_a_table_for_reading():
     frame = pd.DataFrame(
         {
-            "a": [0.0, 0.2],
-            "autonomy": [0.375, 0.125],
+            "a": np.array([0.0, 0.2], dtype=object),
             "n": [7, 8],
             "df1": [1.0, 2.0],
             "df2": [21.0, 30.5],
@@ -71,20 +70,18 @@ def test_a_table_for_reading():
             "points": [1.25, 2.0],
         }
     )
-    frame.attrs["labels"] = ["autonomy"]
     before = frame.copy()
-    found = apa_table(frame, digits=1)
+    found = apa_table(frame)
     assert found.to_dict("list") == {
         "a": [0.0, 0.2],  # a label stays
-        "autonomy": [0.375, 0.125],
         "n": [7, 8],
         "df1": ["1", "2"],  # decimals only where there are fractions
-        "df2": ["21.0", "30.5"],
-        "F": ["6.9", ""],
+        "df2": ["21.00", "30.50"],
+        "F": ["6.88", ""],
         "p": ["< .001", ".050"],
         "p_holm": ["", "> .999"],
         "mauchly_p": [".500", ".250"],
-        "points": ["1.3", "2.0"],
+        "points": ["1.25", "2.00"],
     }
     pd.testing.assert_frame_equal(frame, before)
 

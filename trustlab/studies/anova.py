@@ -10,7 +10,7 @@ effect within subjects has its own error term, as in `Anova` of car and `aov_car
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
-from itertools import chain, combinations, count
+from itertools import chain, combinations, count, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,12 +55,15 @@ class Design:
         Factors and their levels; the last factor within subjects varies fastest among the cells.
     groups : mapping of Hashable to numpy.ndarray, shape (n,)
         The level number of every subject, for each factor between subjects.
+    covariates : mapping of Hashable to numpy.ndarray, shape (n,)
+        Numbers of every subject, with mean 0.
     """
 
     n: int
     within: Mapping[Any, Sequence]
     between: Mapping[Any, Sequence] = field(default_factory=dict)
     groups: Mapping[Any, np.ndarray] = field(default_factory=dict)
+    covariates: Mapping[Any, np.ndarray] = field(default_factory=dict)
 
     @cached_property
     def effects(self) -> list[tuple[tuple, tuple]]:
@@ -70,16 +73,19 @@ class Design:
 
     @cached_property
     def blocks(self) -> dict[tuple, np.ndarray]:
-        """The regressors of every effect between subjects, the intercept first."""
+        """
+        The regressors of every effect between subjects, the intercept first and covariates last.
+        """
         coded = {}
         for name, levels in self.between.items():
             member = np.eye(len(levels))[self.groups[name]]
             coded[name] = member[:, :-1] - member[:, -1:]  # the columns of a group sum to zero
         ones = np.ones((self.n, 1))
-        return {
+        blocks = {
             names: reduce(_products, (coded[name] for name in names), ones)
             for names in subsets(coded)
         }
+        return blocks | {(name,): x[:, None] for name, x in self.covariates.items()}
 
     @cached_property
     def matrix(self) -> np.ndarray:
@@ -98,11 +104,13 @@ class Design:
 
     @property
     def combinations(self) -> np.ndarray:
-        """The regressors of one subject in every combination of groups, a row each."""
-        sizes = [len(levels) for levels in self.between.values()]
-        codes = np.indices(sizes).reshape(len(sizes), int(np.prod(sizes)))
-        numbers = dict(zip(self.between, codes, strict=True))
-        return Design(codes.shape[1], {}, self.between, numbers).matrix
+        """
+        The regressors of a subject in every combination of groups, covariates at their means.
+        """
+        codes = np.array([*product(*(range(len(levels)) for levels in self.between.values()))])
+        groups = dict(zip(self.between, codes.T, strict=True))
+        zeros = dict.fromkeys(self.covariates, np.zeros(len(codes)))
+        return Design(len(codes), {}, self.between, groups, zeros).matrix
 
     @cached_property
     def columns(self) -> dict[tuple, list[int]]:
@@ -228,17 +236,17 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
     residual, floor = regression.residual, regression.rounding**2
     errors = (residual**2).sum(axis=(1, 2))
     subjects = (residual.sum(axis=2) ** 2).sum(axis=1) / residual.shape[2]
-    labels, tests = [], []
+    tests = []
     for block, names in design.effects:
         contrasts, columns = design.contrasts(names), design.columns[block]
-        label = effect_name(block, names)
         d, ss = contrasts.shape[1], regression.sum_of_squares(contrasts, columns)
         covariance = regression.covariance(contrasts)
         error = np.trace(covariance, axis1=1, axis2=2)
         for study in np.flatnonzero((error <= d * floor) | ~np.isfinite(error)):
             raise ValueError(
-                f"study {study}: the error variance is zero for {label} (all subjects differ by "
-                "the same amounts, or not at all), or no number holds it: F is not defined"
+                f"dv or array: the error variance is zero for {effect_name(block, names)} in study "
+                f"{study} (all subjects differ by the same amounts, or not at all), or no number "
+                "holds it: F is not defined"
             )
         df1, df2, f = d * len(columns), d * design.df_error, ss / len(columns) / error
         shape = sphericity(covariance, design.df_error, floor, residual.shape[2])
@@ -257,8 +265,8 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
             "eta2_generalized": ss / (ss + errors),
             "ss_subjects": subjects,
         }
-        labels.append(label)
         tests.append(test | shape)
+    labels = [effect_name(*effect) for effect in design.effects]
     index = pd.MultiIndex.from_product([range(len(scores)), labels], names=["study", "effect"])
     table = {
         name: np.column_stack([np.broadcast_to(test[name], len(scores)) for test in tests]).ravel()

@@ -9,7 +9,7 @@ import pandas as pd
 
 from trustlab.models.checks import flag, of_class, spawned, warn, whole_number
 from trustlab.models.display import Result
-from trustlab.studies.table import column_of, labels_of, refuse_missing_labels
+from trustlab.studies.table import label_column, labels_of
 
 
 def williams_square(n: int) -> np.ndarray:
@@ -43,12 +43,8 @@ def williams_square(n: int) -> np.ndarray:
     n = whole_number("n", n, least=2)
     steps = np.arange(n)
     zigzag = np.where(steps % 2 == 1, (steps + 1) // 2, -(steps // 2)) % n
-    square = (zigzag[None, :] + np.arange(n)[:, None]) % n
+    square = (zigzag + steps[:, None]) % n
     return square if n % 2 == 0 else np.vstack([square, square[:, ::-1]])
-
-
-def _rows(n: int) -> int:
-    return n if n % 2 == 0 else 2 * n
 
 
 def participants_needed(conditions: int, at_least: int = 1) -> int:
@@ -67,7 +63,8 @@ def participants_needed(conditions: int, at_least: int = 1) -> int:
     ValueError
         If there are fewer than two conditions, or `at_least` is not a whole number of at least 1.
     """
-    size = _rows(whole_number("conditions", conditions, least=2))
+    k = whole_number("conditions", conditions, least=2)
+    size = k * (1 + k % 2)  # a square for an odd number is read backwards as well
     return -(-whole_number("at_least", at_least) // size) * size
 
 
@@ -90,9 +87,9 @@ class DesignBalance(Result):
     carry_over: pd.DataFrame
 
     @property
-    def _even(self) -> tuple[bool, bool]:
-        counts = self.positions.to_numpy(), self.carry_over.melt()["value"].dropna()
-        return bool(np.ptp(counts[0]) == 0), bool(np.ptp(counts[1]) == 0)
+    def _even(self) -> list[bool]:
+        counts = self.positions, self.carry_over
+        return [len({*table.melt()["value"].dropna()}) == 1 for table in counts]
 
     @property
     def message(self) -> str:
@@ -146,16 +143,15 @@ def design_balance(
     of_class("orders", orders, pd.DataFrame)
     columns = {"participant": participant, "position": position, "condition": condition}
     for argument, name in columns.items():
-        refuse_missing_labels(column_of(orders, argument, name), argument)
-    labels_of("condition", orders[condition].drop_duplicates(), 2)
+        label_column(orders, argument, name)
+    labels = labels_of("condition", orders[condition].drop_duplicates(), 2)
     rows = orders.sort_values(position)
-    labels = sorted(orders[condition].unique(), key=str)
     for label, part in rows.groupby(participant, sort=False):
         places, names = part[position].tolist(), part[condition].tolist()
-        if sorted(names, key=str) != labels or places != [*range(1, len(labels) + 1)]:
+        if {*names} != {*labels} or places != [*range(1, len(labels) + 1)]:
             raise ValueError(
-                f"participant {label!r} had {names} at {places}; each of {labels} is needed once, "
-                "at positions 1, 2 …"
+                f"participant {label!r} had {names} at {places}; each of {[*labels]} is needed "
+                "once, at positions 1, 2 …"
             )
     after, before = rows[condition], rows.groupby(participant)[condition].shift()
     places = pd.crosstab(after, rows[position])
@@ -264,30 +260,25 @@ def latin_square_design(
     else:
         participants = labels_of("participants", participants, 1)
     seed = whole_number("seed", seed, least=0)
-    whole_squares = flag("whole_squares", whole_squares)
-    k = len(conditions)
-    n = len(participants)
-    size = _rows(k)
+    k, n = len(conditions), len(participants)
+    size = participants_needed(k)
     if n % size:
         below, above = n // size * size, participants_needed(k, n)
         text = (
             f"participants: {n} do not fill whole squares, as {k} conditions need a multiple of "
             f"{size}; {above} would do{f', or {below}' if below else ''}"
         )
-        if whole_squares:
+        if flag("whole_squares", whole_squares):
             raise ValueError(
                 f"{text}; latin_square_design(..., whole_squares=False) takes {n} all the same, in "
                 "a design that is not balanced, which virtual_study takes as its first argument"
             )
         warn(f"{text}; this design is not balanced")
-    squares = -(-n // size)
-    labels, *batches = spawned(seed, 1 + squares)
-    drawn = np.random.default_rng(labels).permutation(k)
-    names = np.empty(k, dtype=object)
-    names[:] = [conditions[i] for i in drawn]
-    square = pd.DataFrame(names[williams_square(k)], range(1, size + 1), range(1, k + 1))
-    square = square.rename_axis(index="order", columns="position")
-    rows: list[int] = []
-    for child in batches:
-        rows += (np.random.default_rng(child).permutation(size) + 1).tolist()
+    labels, *batches = spawned(seed, 1 - (-n // size))
+    drawn = np.random.default_rng(labels).permutation(k)[williams_square(k)]
+    square = pd.DataFrame(drawn, range(1, size + 1), range(1, k + 1)).astype(object)
+    square = square.map(conditions.__getitem__).rename_axis(index="order", columns="position")
+    rows = [
+        int(row) + 1 for batch in batches for row in np.random.default_rng(batch).permutation(size)
+    ]
     return LatinSquareDesign(conditions, participants, seed, square, tuple(rows[:n]))

@@ -5,7 +5,8 @@ The scores of a participant have the covariance σ² (I + ρ 11ᵀ), where ρ is
 participants over the residual variance σ².
 """
 
-from collections.abc import Callable, Hashable, Sequence
+import math
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain
@@ -20,16 +21,16 @@ from trustlab.models.checks import counted, of_class
 from trustlab.studies.anova import Design, effect_name, partial_eta_interval, subsets
 from trustlab.studies.pairs import compared, estimates_of, level_pairs
 from trustlab.studies.table import (
+    Columns,
     Tested,
-    column_of,
+    label_column,
     labelled,
     mark,
     origin_of,
     read_cells,
     read_factors,
-    refuse_missing_labels,
 )
-from trustlab.studies.words import effect_text
+from trustlab.studies.words import apa_number, apa_p, effect_text
 
 # Ratios of variances between which a minimum of the deviance is bracketed.
 RATIOS = np.concatenate([[0.0], np.exp(np.linspace(-16.0, 23.0, 14))])
@@ -50,7 +51,6 @@ class RandomIntercepts:
     """Scores by participant: a column, named by an argument, says whose each row is."""
 
     def __init__(self, argument: str, people: pd.Series):
-        refuse_missing_labels(people, argument)
         self.codes = pd.factorize(people)[0]
         self.counts = np.bincount(self.codes)
         if self.counts.size < 3:
@@ -133,8 +133,6 @@ class MixedModel(Tested):
         Index cell; columns mean, se, ci_low, ci_high (95 %, t with the least df2).
     covariance : numpy.ndarray, shape (cells, cells)
         Of the means.
-    origin : str
-        What kind of data these are where they were not measured; else empty.
     """
 
     dv: Hashable
@@ -143,7 +141,6 @@ class MixedModel(Tested):
     tests: pd.DataFrame
     means: pd.DataFrame
     covariance: np.ndarray
-    origin: str
     title = "Mixed model, random intercept per subject"
 
     def pairs(self, factor: Hashable = None, at: Hashable = None) -> pd.DataFrame:
@@ -193,10 +190,10 @@ class MixedModel(Tested):
 def mixed_model(
     frame: pd.DataFrame,
     dv: Hashable,
-    within: Hashable | Sequence[Hashable],
+    within: Columns,
     subject: Hashable,
     *,
-    between: Hashable | Sequence[Hashable] = None,
+    between: Columns = None,
     order: Any = None,
 ) -> MixedModel:
     """
@@ -242,53 +239,44 @@ def mixed_model(
     levels, groups = read_factors(frame, dv, within, subject, between, order)
     factors = groups | levels
     table = read_cells(frame, dv, factors, subject)
-    combinations = int(np.prod([len(levels) for levels in groups.values()]))
-    there = ~np.isnan(table.values)
-    if not there.any(axis=0).all():
-        cell = table.conditions[np.argmin(there.any(axis=0))]
-        raise ValueError(f"within: no subject has a score in cell {cell!r} of {table.within}")
-    person, cell = np.nonzero(there)
-    y, x = table.values[person, cell], np.eye(len(table.conditions))[cell]
-    model = RandomIntercepts("subject", pd.Series(person, name=table.subject))
-    fit = model.fit(y, x, restricted=True)
-    n = model.counts.size
-    between_df, within_df = n - combinations, y.size - n - x.shape[1] + combinations
+    there = table.notna().to_numpy()
+    for cell in table.columns[~there.any(axis=0)]:
+        raise ValueError(f"within: no subject has a score in cell {cell!r} of {[*factors]}")
+    person, cells = np.nonzero(there)
+    model = RandomIntercepts("subject", pd.Series(person, name=subject))
+    fit = model.fit(table.to_numpy()[there], np.eye(table.shape[1])[cells], restricted=True)
+    covariance = fit.residual * fit.inverse
+    n, combinations = model.counts.size, math.prod(map(len, groups.values()))
+    between_df = n - combinations
+    within_df = cells.size - n - table.shape[1] + combinations
     rows = []
     for names in subsets(factors)[1:]:
         contrasts = Design(n, factors).contrasts(names)
         effect = contrasts.T @ fit.beta
-        spread = fit.residual * contrasts.T @ fit.inverse @ contrasts
-        chi2, df1 = float(effect @ np.linalg.solve(spread, effect)), effect.size
-        df2 = between_df if {*names} <= {*groups} else within_df
-        eta = partial_eta_interval(chi2 / df1, df1, df2)
-        test = {"effect": effect_name((), names), "F": chi2 / df1, "df1": df1, "df2": df2}
-        test |= {"p": special.fdtrc(df1, df2, chi2 / df1), "chi2": chi2}
-        test |= {"p_chi2": special.chdtrc(df1, chi2), "eta2_partial": chi2 / (chi2 + df2)}
-        rows.append(test | {"eta2_partial_low": eta.low, "eta2_partial_high": eta.high})
-    tests = pd.DataFrame(rows).assign(
+        chi2 = float(effect @ np.linalg.solve(contrasts.T @ covariance @ contrasts, effect))
+        df1, df2 = effect.size, between_df if {*names} <= {*groups} else within_df
+        f, eta2 = chi2 / df1, chi2 / (chi2 + df2)
+        p, p_chi2 = special.fdtrc(df1, df2, f), special.chdtrc(df1, chi2)
+        low, high, *_ = partial_eta_interval(f, df1, df2)
+        rows.append((effect_name((), names), f, df1, df2, p, chi2, p_chi2, eta2, low, high))
+    columns = ["effect", "F", "df1", "df2", "p", "chi2", "p_chi2", "eta2_partial"]
+    columns += ["eta2_partial_low", "eta2_partial_high"]
+    tests = pd.DataFrame(rows, columns=columns).assign(
         subject_variance=fit.ratio * fit.residual,
         residual_variance=fit.residual,
         icc=fit.ratio / (1.0 + fit.ratio),
         singular=fit.ratio == 0.0,
         n=n,
-        cells=y.size,
-        missing_cells=n * x.shape[1] // combinations - y.size,
+        cells=cells.size,
+        missing_cells=n * table.shape[1] // combinations - cells.size,
     )
-    covariance = fit.residual * fit.inverse
     means = estimates_of(fit.beta, np.sqrt(np.diag(covariance)), tests["df2"].min())
-    means.index = pd.Index(map(str, table.conditions), name="condition")
-    if len(factors) > 1:
-        means.index = [effect_name((), levels) for levels in table.conditions]
     means = means.rename(columns={"estimate": "mean"})[["mean", "se", "ci_low", "ci_high"]]
-    return MixedModel(
-        dv=table.dv,
-        factors=factors,
-        between=[*groups],
-        tests=labelled(tests, table.origin),
-        means=labelled(means, table.origin),
-        covariance=covariance,
-        origin=table.origin,
-    )
+    cell_names = table.columns if len(factors) > 1 else zip(table.columns, strict=True)
+    means.index = pd.Index([effect_name((), cell) for cell in cell_names], name="cell")
+    origin = origin_of(frame)
+    tests, means = labelled(tests, origin), labelled(means, origin)
+    return MixedModel(dv, factors, [*groups], tests, means, covariance)
 
 
 # Models by formula.
@@ -301,71 +289,52 @@ class FormulaModel(Tested):
 
     Parameters
     ----------
-    formula : str
-        Score and fixed effects.
-    groups : hashable
-        Column with the groups (subjects).
+    title : str
+        What was fitted: the formula and the column with the groups.
     n, observations : int
         Groups and rows.
-    tests, coefficients : pandas.DataFrame
-        What `table` and `coefficients_table` return.
-    fit : InterceptFit
-        Maximum of the restricted likelihood.
+    tests : pandas.DataFrame
+        What `table` returns: the likelihood-ratio test of every term against the model without the
+        term and the interactions that contain it; columns term, chi2, df, p_chi2 (asymptotic: too
+        small with few groups).
+    coefficients : pandas.DataFrame
+        What `coefficients_table` returns.
+    variances : pandas.Series
+        Of the intercepts and the residual.
     log_likelihood : float
         Maximum of the likelihood (not restricted), with all its constants.
-    origin : str
-        What kind of data these are where they were not measured; else empty.
+    singular : bool
+        Whether the groups' variance is estimated as zero.
     """
 
-    formula: str
-    groups: Hashable
+    title: str
     n: int
     observations: int
     tests: pd.DataFrame
     coefficients: pd.DataFrame
-    fit: InterceptFit
+    variances: pd.Series
     log_likelihood: float
-    origin: str
-
-    @property
-    def title(self) -> str:
-        """The formula."""
-        return f"{self.formula}, random intercepts of {self.groups}"
-
-    @property
-    def singular(self) -> bool:
-        """Whether the groups' variance is estimated as zero."""
-        return self.fit.ratio == 0.0
-
-    @property
-    def message(self) -> str:
-        """Which data, and how they were tested."""
-        rows = f"{self.origin} {self.observations} rows of {self.n} groups".strip()
-        return f"{rows}; likelihood ratios, asymptotic"
-
-    def table(self) -> pd.DataFrame:
-        """
-        Return the likelihood-ratio test of every term against the model without the term and the
-        interactions that contain it.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns term, chi2, df, p_chi2 (asymptotic: too small with few groups).
-        """
-        return super().table()
+    singular: bool
 
     def coefficients_table(self) -> pd.DataFrame:
-        """
-        Return the fixed effects by restricted likelihood: name estimate se z p ci_low ci_high
-        (95 %, normal).
-        """
+        """Return the fixed effects: name estimate se z p ci_low ci_high (95 %, normal)."""
         return self.coefficients.copy()
 
     def random_effects(self) -> pd.DataFrame:
-        """Return variance and standard deviation of the intercepts and the residual."""
-        residual = self.fit.residual
-        return variances_of(Intercept=self.fit.ratio * residual, residual=residual)
+        """Return variances, such as that of the intercepts, with standard deviations."""
+        table = self.variances.rename_axis("name").reset_index(name="variance")
+        return table.assign(sd=np.sqrt(table["variance"]))
+
+    def apa(self) -> str:
+        """Return the sentence for a paper: the test of every term."""
+        tests = [
+            f"{row.term}, χ²({row.df}) = {apa_number(row.chi2)}, {apa_p(row.p_chi2)}"
+            for row in self.tests.itertuples()
+        ]
+        return (
+            f"{mark(self.origin)}{self.title} ({self.n} people, {self.observations} observations) "
+            f"was tested by likelihood ratios: {'; '.join(tests)}."
+        )
 
 
 def formula_model(formula: str, data: pd.DataFrame, groups: Hashable) -> FormulaModel:
@@ -401,28 +370,27 @@ def formula_model(formula: str, data: pd.DataFrame, groups: Hashable) -> Formula
     """
     of_class("formula", formula, str)
     frame = of_class("data", data, pd.DataFrame, "with a row per trial").reset_index(drop=True)
-    if formula.count("~") != 1:
+    score, *terms = of_class("formula", formula, str).split("~")
+    if len(terms) != 1 or not score.strip():
         raise ValueError(f"formula must be “score ~ terms”, got {formula!r}")
-    model = RandomIntercepts("groups", column_of(frame, "groups", groups))
-    y, regressors, terms = matrices_of(formula, frame)
+    model = RandomIntercepts("groups", label_column(frame, "groups", groups))
+    y, regressors, columns = matrices_of(formula, frame)
     x = regressors.to_numpy()
-    origin = origin_of(data)
-    columns = tuple(range(x.shape[1]))
     log_likelihood = cache(lambda kept: -0.5 * model.fit(y, x[:, kept]).deviance)
-    tests = likelihood_ratios(terms, columns, log_likelihood)
+    tests = likelihood_ratios(columns, x.shape[1], log_likelihood)
     fit = model.fit(y, x, restricted=True)
     coefficients = estimates_of(fit.beta, np.sqrt(fit.residual * np.diag(fit.inverse)))
     coefficients.insert(0, "name", regressors.columns)
+    variances = {"Intercept": fit.ratio * fit.residual, "residual": fit.residual}
     return FormulaModel(
-        formula=formula,
-        groups=groups,
+        title=f"A mixed model, {formula}, with random intercepts by {groups}",
         n=model.counts.size,
         observations=y.size,
-        tests=labelled(tests, origin),
-        coefficients=labelled(coefficients, origin),
-        fit=fit,
-        log_likelihood=log_likelihood(columns),
-        origin=origin,
+        tests=labelled(tests, origin_of(data)),
+        coefficients=labelled(coefficients, origin_of(data)),
+        variances=pd.Series(variances),
+        log_likelihood=log_likelihood(tuple(range(x.shape[1]))),
+        singular=fit.ratio == 0.0,
     )
 
 
@@ -458,25 +426,17 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
 
 
 def likelihood_ratios(
-    terms: dict[str, list[int]],
-    columns: tuple[int, ...],
-    log_likelihood: Callable[[tuple[int, ...]], float],
+    terms: dict[str, list[int]], count: int, log_likelihood: Callable[[tuple[int, ...]], float]
 ) -> pd.DataFrame:
     """
     Return the test of every term against the model without it and the interactions that contain it,
-    by the greatest log-likelihood of models with some of the columns.
+    by the greatest log-likelihood of models with some of so many columns.
     """
     rows = []
     for name, own in terms.items():
         above = [terms[term] for term in terms if {*name.split(":")} < {*term.split(":")}]
-        full = tuple(column for column in columns if column not in chain(*above))
+        full = tuple(column for column in range(count) if column not in chain(*above))
         reduced = tuple(column for column in full if column not in own)
         chi2 = max(2.0 * (log_likelihood(full) - log_likelihood(reduced)), 0.0)
         rows.append((name, chi2, len(own), float(special.chdtrc(len(own), chi2))))
     return pd.DataFrame(rows, columns=["term", "chi2", "df", "p_chi2"])
-
-
-def variances_of(**variances: float) -> pd.DataFrame:
-    """Return variances by name, with standard deviations."""
-    table = pd.DataFrame(variances.items(), columns=["name", "variance"])
-    return table.assign(sd=np.sqrt(table["variance"]))

@@ -8,7 +8,7 @@ over v are taken by adaptive Gauss–Hermite quadrature (Pinheiro and Bates, 199
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,19 +18,18 @@ from scipy.optimize import minimize
 
 from trustlab.models.checks import finite_array, of_class, whole_number
 from trustlab.studies.mixed import (
+    FormulaModel,
     likelihood_ratios,
     matrices_of,
-    variances_of,
 )
 from trustlab.studies.pairs import estimates_of, holm
 from trustlab.studies.table import (
-    Tested,
+    Columns,
     column_of,
+    label_column,
     labelled,
-    mark,
     origin_of,
     read_factors,
-    refuse_missing_labels,
 )
 from trustlab.studies.words import apa_number, apa_p, interval
 
@@ -136,20 +135,17 @@ class Cumulative:
         """
         Return a maximum in units of the regressors, with the inverse of the observed information.
         """
+        from statsmodels.tools.numdiff import approx_hess
+
         count, scale = x.shape[1], x.std(axis=0)
         beta, thresholds = np.split(point[:-1], [count])
         beta = beta / scale
         point = np.concatenate([beta, thresholds + x.mean(axis=0) @ beta, np.abs(point[-1:])])
-        sizes = STEP / np.concatenate([scale, np.ones(point.size - count)])
+        steps = STEP / np.concatenate([scale, np.ones(point.size - count)])
         # People who do not vary are at the boundary, which carries no information on the rest.
-        steps = np.diag(sizes)[: point.size - (point[-1] < SINGULAR)]
-
-        def bend(a: np.ndarray, b: np.ndarray) -> float:
-            signs = product((-1.0, 1.0), repeat=2)
-            return sum(s * t * self.loss(point + s * a + t * b, x) for s, t in signs)
-
-        information = np.array(
-            [[bend(a, b) / (4.0 * a.sum() * b.sum()) for b in steps] for a in steps]
+        free, fixed = np.split(point, [point.size - (point[-1] < SINGULAR)])
+        information = approx_hess(
+            free, lambda part: self.loss(np.concatenate([part, fixed]), x), steps[: free.size]
         )
         size = point.size - 1
         covariance = np.linalg.inv(information)[:size, :size]
@@ -157,9 +153,13 @@ class Cumulative:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OrdinalModel(Tested):
+class OrdinalModel(FormulaModel):
     """
-    A cumulative-link (logit) mixed model of ratings.
+    A cumulative-link (logit) mixed model of ratings, tested by likelihood ratios.
+
+    A positive effect raises ratings; exp(estimate) multiplies one person's odds of rating above any
+    category. The coefficients are the fixed effects and, below them, thresholds between categories,
+    in logits.
 
     Parameters
     ----------
@@ -167,68 +167,20 @@ class OrdinalModel(Tested):
         Column of the ratings.
     categories : tuple
         Values of the ratings, ascending.
-    tests : pandas.DataFrame
-        What `table` returns.
-    n, observations : int
-        People and ratings.
     fit : CumulativeFit
         Where the likelihood is greatest.
-    log_likelihood : float
-        Its maximum.
-    names : list of str
-        Names of the coefficients.
     cells : pandas.DataFrame
         Regressors of every cell of the factors, covariates at their means.
-    origin : str
-        What kind of data these are where they were not measured; else empty.
+
+    See Also
+    --------
+    FormulaModel : Its table, coefficients_table, random_effects and sentence.
     """
 
     dv: Hashable
     categories: tuple
-    tests: pd.DataFrame
-    n: int
-    observations: int
     fit: CumulativeFit
-    log_likelihood: float
-    names: list[str]
     cells: pd.DataFrame
-    origin: str
-
-    @property
-    def title(self) -> str:
-        """What was fitted."""
-        return f"Cumulative-link mixed model of {self.dv}"
-
-    @property
-    def singular(self) -> bool:
-        """Whether the variance of people is estimated as zero."""
-        return self.fit.sd < SINGULAR
-
-    def table(self) -> pd.DataFrame:
-        """
-        Return the likelihood-ratio test of every term against the model without the term and the
-        interactions that contain it: term, chi2, df, p_chi2 (asymptotic: too small with few
-        people).
-        """
-        return super().table()
-
-    def coefficients_table(self) -> pd.DataFrame:
-        """
-        Return fixed effects and, below them, thresholds between categories, in logits: name
-        estimate se z p ci_low ci_high (95 %, normal).
-
-        A positive effect raises ratings; exp(estimate) multiplies one person's odds of rating above
-        any category.
-        """
-        point = np.concatenate([self.fit.beta, self.fit.thresholds])
-        names = [f"{low} | {high}" for low, high in pairwise(self.categories)]
-        table = estimates_of(point, np.sqrt(np.diag(self.fit.covariance)))
-        table.insert(0, "name", [*self.names, *names])
-        return labelled(table, self.origin)
-
-    def random_effects(self) -> pd.DataFrame:
-        """Return variance and standard deviation of people's intercepts, in logits."""
-        return variances_of(Intercept=self.fit.sd**2)
 
     def probabilities(self) -> pd.DataFrame:
         """
@@ -240,6 +192,8 @@ class OrdinalModel(Tested):
             Columns of the factors, category, probability, ci_low and ci_high (95 %, delta method on
             logits, taking the variance between people as estimated). Covariates are at their means.
         """
+        from statsmodels.tools.numdiff import approx_fprime
+
         fit, x = self.fit, self.cells.to_numpy()
         nodes, mass = np.polynomial.hermite_e.hermegauss(60)
 
@@ -250,10 +204,8 @@ class OrdinalModel(Tested):
             return special.logit(np.diff(below, axis=1, prepend=0.0, append=1.0)).ravel()
 
         point = np.concatenate([fit.beta, fit.thresholds])
-        steps = STEP * np.eye(point.size)
-        slope = np.array([logits(point + step) - logits(point - step) for step in steps])
-        slope /= 2.0 * STEP
-        half = special.ndtri(0.975) * np.sqrt(((fit.covariance @ slope) * slope).sum(axis=0))
+        slope = approx_fprime(point, logits, 2.0 * STEP, centered=True)  # which takes half of it
+        half = special.ndtri(0.975) * np.sqrt(((slope @ fit.covariance) * slope).sum(axis=1))
         centre = logits(point)
         table = self.cells.index.to_frame(index=False).merge(
             pd.Series(self.categories, name="category"), how="cross"
@@ -292,32 +244,22 @@ class OrdinalModel(Tested):
 
     def apa(self) -> str:
         """Return the sentences for a paper: the test of every term, and pairs that differ."""
-        tests = [
-            f"{row.term}, χ²({row.df}) = {apa_number(row.chi2)}, {apa_p(row.p_chi2)}"
-            for row in self.tests.itertuples()
-        ]
         pairs = [
             f"{row.a} against {row.b}, OR = {apa_number(row.odds_ratio)}, "
             f"{interval(np.exp(row.ci_low), np.exp(row.ci_high))}, Holm-adjusted "
             f"{apa_p(row.p_holm)}"
             for row in self.pairs().query("p_holm < 0.05").itertuples()
         ]
-        kind = "logistic" if len(self.categories) == 2 else "cumulative-link"
-        return (
-            f"{mark(self.origin)}A {kind} mixed model of {self.dv} with random intercepts "
-            f"({self.n} people, {self.observations} ratings) was tested by likelihood ratios: "
-            f"{'; '.join(tests)}. "
-            f"Pairs that differ: {'; '.join(pairs) or 'none'}."
-        )
+        return f"{super().apa()} Pairs that differ: {'; '.join(pairs) or 'none'}."
 
 
 def ordinal_model(
     frame: pd.DataFrame,
     dv: Hashable,
-    within: Hashable | Sequence[Hashable],
+    within: Columns,
     subject: Hashable = "subject",
     *,
-    between: Hashable | Sequence[Hashable] = None,
+    between: Columns = None,
     covariates: Sequence[Hashable] = (),
     order: Any = None,
     points: int = 15,
@@ -369,11 +311,10 @@ def ordinal_model(
     """
     of_class("frame", frame, pd.DataFrame, "with a row per rating")
     data = frame.reset_index(drop=True)
-    refuse_missing_labels(column_of(data, "subject", subject), "subject")
-    codes, people = pd.factorize(data[subject])
+    codes, people = pd.factorize(label_column(data, "subject", subject))
     if len(people) < 3:
         raise ValueError(f"subject: column {subject!r} has {len(people)} people; at least 3 needed")
-    answers, categories = _categories(column_of(data, "dv", dv))
+    answers, categories = _categories(label_column(data, "dv", dv))
     inside, groups = read_factors(data, dv, within, subject, between, order)
     factors = groups | inside
     for name, levels in factors.items():
@@ -381,12 +322,13 @@ def ordinal_model(
     for name in covariates:
         finite_array("covariates", column_of(data, "covariates", name))
     crossed = " * ".join(f"`{name}`" for name in factors)
-    formula = " + ".join([f"answer ~ {crossed}", *(f"`{name}`" for name in covariates)])
-    _, regressors, terms = matrices_of(formula, data.assign(answer=answers))
+    formula = " + ".join([f"`{dv}` ~ {crossed}", *(f"`{name}`" for name in covariates)])
+    data[dv] = answers
+    _, regressors, terms = matrices_of(formula, data)
     # Thresholds take the place of the intercept.
     regressors = regressors.drop(columns="Intercept")
     terms = {name: [column - 1 for column in columns] for name, columns in terms.items()}
-    columns, x = tuple(range(regressors.shape[1])), regressors.to_numpy()
+    count, x = regressors.shape[1], regressors.to_numpy()
     z = (x - x.mean(axis=0)) / x.std(axis=0)
     model = Cumulative(answers, codes, whole_number("points", points, most=100))
     maximum = cache(lambda kept: model.maximum(z[:, kept]))
@@ -394,28 +336,35 @@ def ordinal_model(
     def log_likelihood(kept: tuple[int, ...]) -> float:
         return -model.loss(maximum(kept), z[:, kept])
 
-    tests = likelihood_ratios(terms, columns, log_likelihood)
+    tests = likelihood_ratios(terms, count, log_likelihood)
     cells = regressors.groupby([data[name] for name in factors], observed=True).mean()
     for name in covariates:
         cells.iloc[:, terms[name]] = x[:, terms[name]].mean(axis=0)
-    origin = origin_of(frame)
+    every = tuple(range(count))
+    fit = model.fit(x, maximum(every))
+    estimates = np.concatenate([fit.beta, fit.thresholds])
+    coefficients = estimates_of(estimates, np.sqrt(np.diag(fit.covariance)))
+    thresholds = [f"{low} | {high}" for low, high in pairwise(categories)]
+    coefficients.insert(0, "name", [*regressors, *thresholds])
+    kind = "logistic" if len(categories) == 2 else "cumulative-link"
     return OrdinalModel(
-        dv=dv,
-        categories=tuple(categories),
-        tests=labelled(tests, origin),
+        title=f"A {kind} mixed model of {dv} with random intercepts",
         n=len(people),
         observations=answers.size,
-        fit=model.fit(x, maximum(columns)),
-        log_likelihood=log_likelihood(columns),
-        names=[*regressors],
+        tests=labelled(tests, origin_of(frame)),
+        coefficients=labelled(coefficients, origin_of(frame)),
+        variances=pd.Series({"Intercept": fit.sd**2}),
+        log_likelihood=log_likelihood(every),
+        singular=fit.sd < SINGULAR,
+        dv=dv,
+        categories=tuple(categories),
+        fit=fit,
         cells=cells,
-        origin=origin,
     )
 
 
 def _categories(column: pd.Series) -> tuple[np.ndarray, list]:
     """Return the number of every answer's category, and the categories that occur, ascending."""
-    refuse_missing_labels(column, "dv")
     ordered = isinstance(column.dtype, pd.CategoricalDtype) and column.cat.ordered
     if not ordered and not pd.api.types.is_numeric_dtype(column):
         raise ValueError(

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import one_of, open_unit, positive
-from trustlab.studies.pairs import differences, holm, normality_of_differences, rank_pairs
+from trustlab.models.checks import between, open_unit, positive
+from trustlab.studies.pairs import holm, normality_of_differences
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.table import Tested, labelled
 from trustlab.studies.words import apa_pair
@@ -24,11 +24,8 @@ class PairedTTest(Tested):
     level confidence; Student's t on df = n − 1 degrees of freedom and its two-sided p; d_z, the
     mean over the standard deviation of the differences, with its interval d_z_low, d_z_high, which
     inverts the noncentral t distribution, exact to four digits; d_av, over the mean of both
-    standard deviations; correlation of a and b, NaN if one of them is constant; wilcoxon_v (sum of
-    the ranks of positive differences, zero differences left out), wilcoxon_p (two-sided),
-    wilcoxon_method ("exact" below 50 subjects without ties or zero differences, else "normal
-    approximation, continuity corrected") and rank_biserial ((positive − negative rank sum) over
-    their total); shapiro_w and shapiro_p, Shapiro and Wilk's test of the differences.
+    standard deviations; correlation of a and b, NaN if one of them is constant; shapiro_w and
+    shapiro_p, Shapiro and Wilk's test of the differences.
 
     Parameters
     ----------
@@ -53,8 +50,8 @@ class PairedTTest(Tested):
 
 
 COLUMNS = ["a", "b", "n", "mean_difference", "sd_difference", "ci_low", "ci_high", "confidence"]
-COLUMNS += ["t", "df", "p", "d_z", "d_z_low", "d_z_high", "d_av", "correlation", "wilcoxon_v"]
-COLUMNS += ["wilcoxon_p", "wilcoxon_method", "rank_biserial", "shapiro_w", "shapiro_p"]
+COLUMNS += ["t", "df", "p", "d_z", "d_z_low", "d_z_high", "d_av", "correlation", "shapiro_w"]
+COLUMNS += ["shapiro_p"]
 
 
 def paired_t_test(
@@ -109,25 +106,22 @@ def paired_t_test(
     0           -0.467 -2.646   2  0.118
     """
     result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
-    scores = result.scores
     if result.k != 2:
         raise ValueError(
-            f"within: column {within!r} has {result.k} conditions, {list(scores.conditions)}; a "
+            f"within: column {within!r} has {result.k} conditions, {[*result.conditions]}; a "
             "paired t-test compares two. Select their rows, or use repeated_measures"
         )
-    a, b = scores.values.T
-    constant = a.std() * b.std() == 0.0
-    ranks = rank_pairs(scores.values)[["V", "p", "method", "rank_biserial"]]
-    names = {"V": "wilcoxon_v", "p": "wilcoxon_p", "method": "wilcoxon_method"}
-    test = result.pairs(confidence=confidence).join(ranks.rename(columns=names))
-    names = {"W": "shapiro_w", "p": "shapiro_p"}
-    test = test.join(normality_of_differences(scores.values).rename(columns=names)).assign(
-        n=result.n,
-        sd_difference=(a - b).std(ddof=1),
-        confidence=confidence,
-        correlation=np.nan if constant else np.corrcoef(a, b)[0, 1],
+    values = result.scores.to_numpy()
+    normality = normality_of_differences(values).rename(
+        columns={"W": "shapiro_w", "p": "shapiro_p"}
     )
-    return PairedTTest(labelled(test[COLUMNS], scores.origin), result)
+    test = pd.concat([result.pairs(confidence=confidence), normality], axis=1).assign(
+        n=result.n,
+        sd_difference=np.subtract(*values.T).std(ddof=1),
+        confidence=confidence,
+        correlation=result.scores.corr().iloc[0, 1],
+    )
+    return PairedTTest(labelled(test[COLUMNS], result.origin), result)
 
 
 def equivalence(
@@ -195,18 +189,31 @@ def equivalence(
         raise ValueError(f"alpha must be below 0.5, as the interval has 1 − 2 alpha, got {alpha}")
     result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
     pairs, n = result.pairs(confidence=1.0 - 2.0 * alpha), result.n
-    mean = pairs["mean_difference"].to_numpy()
-    error = differences(result.scores.values).std(axis=1, ddof=1) / np.sqrt(n)
-    if pairs["t"].isna().any():
-        a, b = pairs.loc[pairs["t"].isna(), ["a", "b"]].iloc[0]
-        raise ValueError(f"dv: every subject has the same difference between {a!r} and {b!r}")
+    for pair in pairs[pairs["t"].isna()].itertuples():
+        raise ValueError(
+            f"dv: every subject has the same difference between {pair.a!r} and {pair.b!r}"
+        )
+    mean = pairs["mean_difference"]
+    error = 0.5 * (pairs["ci_high"] - pairs["ci_low"]) / special.stdtrit(n - 1, 1.0 - alpha)
     t_low, t_high = (mean + bound) / error, (mean - bound) / error
     p_low, p_high = special.stdtr(n - 1, -t_low), special.stdtr(n - 1, t_high)
     p = np.maximum(p_low, p_high)
-    tests = {"n": n, "mean_difference": mean, "low": -bound, "high": bound, "t_low": t_low}
-    tests |= {"p_low": p_low, "t_high": t_high, "p_high": p_high, "df": n - 1, "p": p}
-    tests |= {"p_holm": holm(p), "ci_low": pairs["ci_low"], "ci_high": pairs["ci_high"]}
-    table = pairs[["a", "b"]].assign(**tests, equivalent=p < alpha)
+    table = pairs[["a", "b"]].assign(
+        n=n,
+        mean_difference=mean,
+        low=-bound,
+        high=bound,
+        t_low=t_low,
+        p_low=p_low,
+        t_high=t_high,
+        p_high=p_high,
+        df=n - 1,
+        p=p,
+        p_holm=holm(p.to_numpy()),
+        ci_low=pairs["ci_low"],
+        ci_high=pairs["ci_high"],
+        equivalent=p < alpha,
+    )
     return labelled(table, result.origin, excluded=result.excluded)
 
 
@@ -216,13 +223,13 @@ def bayes_factor(
     within: Hashable,
     subject: Hashable,
     *,
-    method: str | None = None,
     scale: float = 2**-0.5,
     order: Sequence | None = None,
     missing: str = "raise",
 ) -> pd.DataFrame:
     """
-    Return how many times likelier the data are with a difference than without.
+    Return how many times likelier the data are with a difference than without, for every pair of
+    conditions, by the t-test of Rouder and others: a Cauchy prior on d_z.
 
     Parameters
     ----------
@@ -230,12 +237,8 @@ def bayes_factor(
         One row per subject and condition.
     dv, within, subject : hashable
         Columns with the score, the condition and the subject.
-    method : {"jzs", "bic"}, optional
-        "jzs": every pair by the t-test of Rouder and others, a Cauchy prior on d_z.
-        "bic": all conditions against their common mean, exp(−ΔBIC/2) with n (k − 1) independent
-        observations. By default "jzs" for two conditions, else "bic".
     scale : float
-        Scale of the Cauchy prior, positive; 1/√2 as in R's BayesFactor ("medium").
+        Scale of the Cauchy prior, from 1e-6 to 1e6; 1/√2 as in R's BayesFactor ("medium").
     order : sequence, optional
         The order of the conditions.
     missing : {"raise", "listwise"}
@@ -244,9 +247,8 @@ def bayes_factor(
     Returns
     -------
     pandas.DataFrame
-        Columns comparison, method, statistic (t or F), df1, df2, log_bf10 (natural logarithm),
-        bf10, bf01, n; a row per pair for "jzs", one for "bic". Where bf10 is too large for a number
-        it is infinite; log_bf10 is not.
+        A row per pair: comparison (a − b), statistic (t), log_bf10 (natural logarithm), bf10, bf01,
+        n. Where bf10 is too large for a number it is infinite; log_bf10 is not.
 
     Raises
     ------
@@ -256,40 +258,28 @@ def bayes_factor(
     References
     ----------
     J. N. Rouder and others, Bayesian t tests for accepting and rejecting the null hypothesis,
-    Psychonomic Bulletin & Review 16 (2009) 225-237. M. E. J. Masson, A tutorial on a practical
-    Bayesian alternative to null-hypothesis significance testing, Behavior Research Methods 43
-    (2011) 679-690.
+    Psychonomic Bulletin & Review 16 (2009) 225-237.
 
     Examples
     --------
     >>> import trustlab as tl
     >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
     >>> factors = tl.bayes_factor(frame, dv="value", within="condition", subject="subject")
-    >>> factors[["comparison", "bf10", "n"]].round(1)
-      comparison  bf10   n
-    0  condition   3.5  36
+    >>> factors[["comparison", "bf10", "n"]].head(2).round(1)
+      comparison   bf10   n
+    0    C1 − C2    1.5  36
+    1    C1 − C3  108.5  36
     """
-    scale = positive("scale", scale)
-    analysis = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
-    n = analysis.n
-    df1, df2 = analysis.df1, analysis.df2
-    if method is None:
-        method = "jzs" if analysis.k == 2 else "bic"
-    if one_of("method", method, ("jzs", "bic")) == "bic":
-        share = analysis.ss_error / (analysis.ss_effect + analysis.ss_error)
-        log_bf10 = -0.5 * (n * df1 * np.log(share) + df1 * np.log(n * df1))
-        rows = [(str(within), method, analysis.F, df1, df2, log_bf10)]
-    else:
-        rows = [
-            (f"{a} − {b}", method, t, 1, n - 1, log_jzs_bayes_factor(t, n, scale))
-            for a, b, t in analysis.pairs()[["a", "b", "t"]].itertuples(index=False)
-        ]
-    columns = ["comparison", "method", "statistic", "df1", "df2", "log_bf10"]
-    result = pd.DataFrame(rows, columns=columns)
+    scale = between("scale", scale, 1e-6, 1e6)
+    result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
+    rows = [
+        (f"{pair.a} − {pair.b}", pair.t, log_jzs_bayes_factor(pair.t, result.n, scale))
+        for pair in result.pairs().itertuples()
+    ]
+    table = pd.DataFrame(rows, columns=["comparison", "statistic", "log_bf10"])
     with np.errstate(over="ignore"):
-        result["bf10"] = np.exp(result["log_bf10"])
-        result["bf01"] = np.exp(-result["log_bf10"])
-    return labelled(result.assign(n=n), analysis.origin, excluded=analysis.excluded)
+        table["bf10"], table["bf01"] = np.exp(table["log_bf10"]), np.exp(-table["log_bf10"])
+    return labelled(table.assign(n=result.n), result.origin, excluded=result.excluded)
 
 
 def log_jzs_bayes_factor(t: float, n: int, scale: float) -> float:

@@ -1,18 +1,16 @@
-"""Comparisons after an analysis of variance: pairs of levels, tests by ranks."""
+"""Comparisons after an analysis of variance: pairs of levels, ranks, normality."""
 
+import math
 from collections.abc import Hashable
 from functools import reduce
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import special, stats
 
 from trustlab.studies.anova import Design, Regression
-
-# Scores of at most so many different whole numbers (0 to 10) are taken for a rating item's.
-_MOST_STEPS = 11
 
 
 def bonferroni(p: np.ndarray) -> np.ndarray:
@@ -44,31 +42,6 @@ def holm(p: np.ndarray) -> np.ndarray:
     steps = np.maximum(count - np.arange(p.shape[-1]), 1) * np.take_along_axis(p, order, axis=-1)
     adjusted = np.minimum(np.maximum.accumulate(steps, axis=-1), 1.0)
     return np.take_along_axis(adjusted, np.argsort(order, axis=-1), axis=-1)
-
-
-class Pairs(NamedTuple):
-    """
-    Comparisons a − b of many studies, shape (studies, pairs); p is two-sided; NaN where every
-    subject has the same difference.
-    """
-
-    mean_difference: np.ndarray
-    t: np.ndarray
-    p: np.ndarray
-    p_bonferroni: np.ndarray
-    p_holm: np.ndarray
-
-
-def condition_pairs(scores: np.ndarray) -> Pairs:
-    """Compare all pairs of conditions, a before b, of studies of shape (studies, n, k)."""
-    n, k = scores.shape[1:]
-    a, b = np.triu_indices(k, 1)
-    difference = scores[:, :, a] - scores[:, :, b]
-    mean, sd = difference.mean(axis=1), difference.std(axis=1, ddof=1)
-    rounding = 4.0 * np.finfo(float).eps * np.abs(scores).max(axis=(1, 2))[:, None]
-    t = np.sqrt(n) * mean / np.where(sd > rounding, sd, np.nan)
-    p = 2.0 * special.stdtr(n - 1, -np.abs(t))
-    return Pairs(mean, t, p, bonferroni(p), holm(p))
 
 
 def estimates_of(
@@ -106,29 +79,19 @@ def level_pairs(
             raise ValueError(f"factor: {name!r} is not a factor of this design: {[*factors]}")
     if factor == at:
         raise ValueError(f"factor and at are both {factor!r}; name two factors")
-    rows, weights = [], []
+    sizes = {name: len(levels) for name, levels in factors.items()}
+    means = {name: np.full((1, k), 1.0 / k) for name, k in sizes.items()}
+    a, b = np.triu_indices(sizes[factor], 1)
+    differences = np.eye(sizes[factor])[a] - np.eye(sizes[factor])[b]
+    cells = math.prod(map(len, design.within.values()))
+    pairs, weights = [], []
     for place, level in enumerate([np.nan] if at is None else factors[at]):
-        fixed = {} if at is None else {at: place}
-        means = [_mean(design, fixed | {factor: i}) for i in range(len(factors[factor]))]
-        for (a, first), (b, second) in combinations(zip(factors[factor], means, strict=True), 2):
-            rows.append((level, a, b))
-            weights.append(first - second)
-    return pd.DataFrame(rows, columns=["level", "a", "b"]), np.array(weights)
-
-
-def _mean(design: Design, fixed: dict[Hashable, int]) -> np.ndarray:
-    """Return the weights of the coefficients of all cells in the mean at some factors' levels."""
-
-    def share(factors: Any) -> np.ndarray:
-        parts = [
-            np.eye(len(levels))[fixed[name]]
-            if name in fixed
-            else np.full(len(levels), 1.0 / len(levels))
-            for name, levels in factors.items()
-        ]
-        return reduce(np.kron, parts, np.ones(1))
-
-    return np.outer(share(design.between) @ design.combinations, share(design.within))
+        fixed = {} if at is None else {at: np.eye(sizes[at])[[place]]}
+        of_cells = reduce(np.kron, (means | fixed | {factor: differences}).values())
+        weights.append(design.combinations.T @ of_cells.reshape(len(a), -1, cells))
+        pairs += [(level, *pair) for pair in combinations(factors[factor], 2)]
+    table = pd.DataFrame(pairs, columns=["level", "a", "b"], dtype=object)
+    return table, np.concatenate(weights)
 
 
 def compared(
@@ -155,83 +118,46 @@ def compared(
     )
 
 
+def differences(regression: Regression, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return weighted sums of the coefficients of all cells in every study, and their standard errors,
+    both of shape (studies, weights); NaN where an error is what rounding of the scores can cause.
+    """
+    design, residual = regression.design, regression.residual
+    errors = residual @ np.hstack([*_turned(design, weights)])
+    squares = (errors**2).sum(axis=1).reshape(len(residual), len(weights), -1).sum(axis=2)
+    se = np.sqrt(squares / design.df_error)
+    se = np.where(se * np.sqrt(design.n) > regression.rounding[:, None], se, np.nan)
+    return np.tensordot(regression.coefficients, weights, ((1, 2), (1, 2))), se
+
+
+def _turned(design: Design, weights: np.ndarray) -> np.ndarray:
+    """Return the weights of residuals in the errors of weighted sums of coefficients."""
+    return np.swapaxes(weights, 1, 2) @ np.linalg.cholesky(design.inverse / design.n)
+
+
 def factor_pairs(
     regression: Regression, factor: Hashable, at: Hashable, level: float
 ) -> pd.DataFrame:
-    """Return comparisons of levels, each with the error of its own differences."""
+    """Return comparisons of levels of one study, each with the error of its own differences."""
     design = regression.design
     pairs, weights = level_pairs(design, factor, at)
-    root = np.linalg.cholesky(design.inverse / design.n)
-    turned = np.swapaxes(weights, 1, 2) @ root
-    errors = regression.residual[0] @ turned
-    se = np.sqrt((errors**2).sum(axis=(1, 2)) / design.df_error)
-    se = np.where(se * np.sqrt(design.n) > regression.rounding[0], se, np.nan)
+    (difference,), (se,) = differences(regression, weights)
     # Standard errors over standard deviations of the differences; between groups there are none.
     inside = (weights[:, 0] ** 2).sum(axis=1)
-    scale = np.sqrt((turned**2).sum(axis=(1, 2)) / np.where(inside > 1e-12, inside, np.nan))
-    difference = (weights * regression.coefficients[0]).sum(axis=(1, 2))
-    return compared(pairs, difference, se, design.df_error, scale, level).drop(columns="se")
+    squares = (_turned(design, weights) ** 2).sum(axis=(1, 2))
+    scale = np.sqrt(squares / np.where(inside > 1e-12, inside, np.nan))
+    return compared(pairs, difference, se, design.df_error, scale, level)
 
 
 def friedman(values: np.ndarray) -> pd.DataFrame:
     """Test whether the conditions' mean ranks differ; `values` has shape (n, k)."""
-    import pingouin
-
     n, k = values.shape
-    test = pingouin.friedman(pd.DataFrame(values))  # a wide table: a row per subject
-    w = float(np.clip(test["W"].iloc[0], 0.0, 1.0))  # the bounds are exact: only rounding is cut
+    ranks = stats.rankdata(values, axis=1) - 0.5 * (k + 1)
+    w = (ranks.sum(axis=0) ** 2).sum() / (n * (ranks**2).sum())  # NaN where all ranks are equal
     chi2 = n * (k - 1) * w
     p = special.chdtrc(k - 1, chi2)
     return pd.DataFrame([{"chi2": chi2, "df": k - 1, "p": p, "kendall_w": w}])
-
-
-def differences(values: np.ndarray) -> np.ndarray:
-    """Return the subjects' differences of every pair of conditions, shape (pairs, n)."""
-    a, b = np.triu_indices(values.shape[1], 1)
-    return (values[:, a] - values[:, b]).T
-
-
-def rank_pairs(values: np.ndarray) -> pd.DataFrame:
-    """
-    Compare every pair of conditions by Wilcoxon's signed-rank test, by the rules of R's
-    wilcox.test; not defined where all differences are zero.
-
-    Zero differences are left out. The p-value is exact below 50 subjects without ties or zero
-    differences, else from the normal approximation with continuity correction. Differences are
-    ranked to twelve digits of the largest score, as 0.3 − 0.2 and 0.2 − 0.1 are a tie although they
-    differ in floating point.
-    """
-    grid = 10.0 ** (np.ceil(np.log10(np.abs(values).max())) - 12.0)
-    rows = []
-    for difference in differences(values):
-        steps = np.round(difference / grid)
-        steps = steps[steps != 0.0]
-        ranks = stats.rankdata(np.abs(steps))
-        exact = steps.size == difference.size < 50 and np.unique(ranks).size == steps.size
-        v, p, method, total = np.nan, np.nan, "not defined", ranks.sum()
-        if steps.size:
-            v = float(ranks[steps > 0.0].sum())
-            method = "exact" if exact else "normal approximation, continuity corrected"
-            kind = "exact" if exact else "asymptotic"
-            p = float(stats.wilcoxon(steps, method=kind, correction=not exact).pvalue)
-        biserial = (2.0 * v - total) / total if steps.size else np.nan
-        rows.append((v, p, method, biserial, np.median(difference)))
-    names = ["V", "p", "method", "rank_biserial", "median_difference"]
-    table = pd.DataFrame(rows, columns=names)
-    p = table["p"].to_numpy()
-    return table.assign(p_bonferroni=bonferroni(p), p_holm=holm(p))
-
-
-def rating_note(values: np.ndarray) -> str:
-    """Return a note that names other tests if scores look like those of one rating item."""
-    steps = np.unique(values)
-    if steps.size > _MOST_STEPS or (steps % 1.0).any():
-        return ""
-    return (
-        f"Scores are whole numbers from {steps[0]:g} to {steps[-1]:g}, as of a rating item, "
-        "whose steps need not be equal: see tl.ordinal_model, friedman() and "
-        'pairs(method="wilcoxon").'
-    )
 
 
 def normality_of_differences(values: np.ndarray) -> pd.DataFrame:
@@ -241,11 +167,10 @@ def normality_of_differences(values: np.ndarray) -> pd.DataFrame:
     NaN where all differences are equal.
     """
     rounding = 8.0 * np.finfo(float).eps * np.abs(values).max()
-    rows = [
-        # Scaled, as SciPy takes tiny differences for equal. Its p is not defined beyond 5000.
-        (*stats.shapiro(x / np.abs(x).max()),)
-        if np.ptp(x) > rounding and x.size <= 5000
-        else (np.nan, np.nan)
-        for x in differences(values)
-    ]
+    rows = []
+    for a, b in combinations(values.T, 2):
+        x, row = a - b, (np.nan, np.nan)
+        if np.ptp(x) > rounding and x.size <= 5000:  # beyond, SciPy's p is not defined
+            row = stats.shapiro(x / np.abs(x).max())  # SciPy takes tiny differences for equal
+        rows.append(row)
     return pd.DataFrame(rows, columns=["W", "p"])

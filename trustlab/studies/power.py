@@ -1,10 +1,10 @@
 """
-Power of within-subject, factorial and mixed designs by simulated studies, and the smallest n that
-reaches a power.
+Populations of conditions, the power of within-subject, factorial and mixed designs by studies drawn
+from them, and the smallest n that reaches a power.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations, product
 from typing import Any
 
@@ -13,31 +13,32 @@ import pandas as pd
 from numpy.random import SeedSequence
 from numpy.typing import ArrayLike
 from scipy import special
+from scipy.optimize import brentq
 
 from trustlab.models.checks import (
+    finite_array,
+    finite_number,
+    finite_numbers,
     of_class,
     one_of,
     open_unit,
+    positive,
     shown,
+    warn,
     whole_number,
 )
 from trustlab.models.display import axes_or_new
 from trustlab.studies.anova import (
+    Design,
     effect_name,
     effects,
     regress,
     sphericity,
 )
 from trustlab.studies.designs import participants_needed
-from trustlab.studies.pairs import condition_pairs
-from trustlab.studies.population import (
-    USUAL_COLUMNS,
-    Conditions,
-    StudyColumns,
-    factorial,
-    population_of,
-)
-from trustlab.studies.table import Tested, labelled
+from trustlab.studies.pairs import bonferroni, differences, holm, level_pairs
+from trustlab.studies.repeated_measures import repeated_measures
+from trustlab.studies.table import Tested, labelled, labels_of, names_of
 from trustlab.studies.words import apa_number
 
 # What power is computed against, and how a figure labels it.
@@ -47,12 +48,14 @@ AXES = {
     "effect_size": "population partial η²",
     "epsilon": "ε of the population",
 }
-# Corrections of the omnibus F, and adjustments of the pairs: their p-values by name.
+# Corrections of the omnibus F by the name of their p-value, and adjustments of the pairs.
 TESTS = {"none": "p", "greenhouse-geisser": "p_gg", "huynh-feldt": "p_hf"}
-ADJUSTMENTS = {"none": "p", "bonferroni": "p_bonferroni", "holm": "p_holm"}
+ADJUSTMENTS: dict[str, Any] = {"none": np.asarray, "bonferroni": bonferroni, "holm": holm}
 # The correction that `repeated_measures` makes by default.
 USUAL_TEST = "greenhouse-geisser"
 MOST_N = 100_000
+# The search for the smallest n ends beyond this number.
+MOST_TRIED = 1500
 # Scores drawn at once.
 SCORES = 1 << 20
 
@@ -95,6 +98,285 @@ class Simulation:
 USUAL_SIMULATION = Simulation()
 
 
+# --- populations ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class StudyColumns:
+    """
+    Columns of a pilot study's table, or levels of the index of its means.
+
+    Parameters
+    ----------
+    dv, subject : hashable
+        Columns of the measure and of the participants.
+    within : hashable or list of hashable
+        The factor or factors within subjects.
+    between : hashable or list of hashable, optional
+        Factors between subjects, which come first in the index of the means.
+    order : sequence or dict, optional
+        Order of the conditions; of several factors, a dict of factor to levels.
+    """
+
+    dv: Hashable = "value"
+    within: Hashable | list[Hashable] = "condition"
+    subject: Hashable = "subject"
+    between: Hashable | list[Hashable] | None = None
+    order: Any = None
+
+
+USUAL_COLUMNS = StudyColumns()
+
+
+def graded_covariance(
+    k: int, correlation: float = 0.5, epsilon: float = 1.0, sd: float = 1.0
+) -> np.ndarray:
+    """
+    Return a covariance of k conditions with a wanted mean correlation and ε.
+
+    The variances of the k − 1 orthonormal polynomial contrasts (linear first) form a geometric
+    sequence, falling so steeply that ε comes out; their mean is σ² (1 − ρ), and that of the sum
+    over conditions is σ² (1 + (k − 1) ρ). ε = 1 is compound symmetry. Mean variance and mean
+    covariance are σ² and ρ σ². With ε below 1 power depends on which contrasts vary most: this is
+    one choice.
+
+    Parameters
+    ----------
+    k : int
+        Conditions, at least 2.
+    correlation : float
+        ρ, between −1/(k − 1) and 1.
+    epsilon : float
+        ε, above 1/(k − 1) and at most 1; for k = 2 it is 1.
+    sd : float
+        σ, the root of the mean variance.
+
+    Returns
+    -------
+    numpy.ndarray, shape (k, k)
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+    """
+    d = whole_number("k", k, least=2, most=1000) - 1
+    rho, eps = finite_number("correlation", correlation), finite_number("epsilon", epsilon)
+    sd = positive("sd", sd)
+    possible = 1.0 / d < eps <= 1.0 or eps == d == 1
+    if not (possible and -1.0 / d < rho < 1.0):
+        raise ValueError(
+            f"correlation = {rho:g}, epsilon = {eps:g}: {d + 1} conditions have a correlation "
+            f"between {-1.0 / d:.4g} and 1, and an ε above {1.0 / d:.4g} up to 1"
+        )
+
+    def shares(log_ratio: float) -> np.ndarray:
+        return special.softmax(log_ratio * np.arange(d))
+
+    def excess(log_ratio: float) -> float:
+        return 1.0 / (d * (shares(log_ratio) ** 2).sum()) - eps
+
+    ratio = brentq(excess, -60.0, 0.0, xtol=1e-14, rtol=1e-14) if eps < 1.0 - 1e-12 else 0.0
+    variances = d * sd**2 * (1.0 - rho) * shares(ratio)
+    # Powers of x span the same spaces, but are nearly dependent beyond a dozen conditions.
+    basis = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, d + 1), d))[0]
+    together = sd**2 * (1.0 + d * rho)
+    return basis @ np.diag(np.r_[together, variances]) @ basis.T
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """
+    Population from which studies are drawn: normal scores with these means and this covariance.
+
+    Parameters
+    ----------
+    labels : tuple
+        Conditions; of several factors the cells, the last factor varying fastest.
+    mean : numpy.ndarray, shape (k,) or (groups, k)
+        Their means, in each group.
+    covariance : numpy.ndarray, shape (k, k)
+        Positive definite.
+    origin : str
+        Where they come from, if not given as numbers ("reconstructed data" …).
+    within, between : mapping of str to sequence
+        Factors and their levels; "condition" with the labels when not given.
+
+    Raises
+    ------
+    ValueError
+        If sizes differ, labels repeat, or the covariance is not positive definite.
+    """
+
+    labels: Sequence[Hashable]
+    mean: np.ndarray
+    covariance: np.ndarray
+    origin: str = ""
+    within: Mapping[Any, Sequence] = field(default_factory=dict)
+    between: Mapping[Any, Sequence] = field(default_factory=dict)
+
+    def __post_init__(self):
+        labels = labels_of("labels", self.labels, 2)
+        mean = finite_numbers("mean", self.mean)
+        covariance = finite_numbers("covariance", self.covariance)
+        k = len(labels)
+        if mean.shape[-1:] != (k,) or covariance.shape != (k, k):
+            raise ValueError(
+                f"mean and covariance must be of the {k} conditions {[*labels]}, got shapes "
+                f"{mean.shape} and {covariance.shape}"
+            )
+        least, *_, greatest = np.linalg.eigvalsh(covariance)
+        if not np.allclose(covariance, covariance.T, atol=0.0) or least <= 1e-12 * greatest:
+            raise ValueError(
+                f"covariance must be symmetric and positive definite; its least eigenvalue is "
+                f"{least:.6g}, the greatest {greatest:.6g}"
+            )
+        within = self.within or {"condition": labels}
+        self.__dict__.update(labels=labels, mean=mean, covariance=covariance, within=within)
+
+    @property
+    def simulated_origin(self) -> str:
+        """Where results of studies drawn from this population come from, for captions."""
+        return "simulated studies" + (f", from {self.origin}" if self.origin else "")
+
+    @property
+    def correlation(self) -> float:
+        """Mean covariance between conditions over their mean variance."""
+        trace = np.trace(self.covariance)
+        return float((self.covariance.sum() / trace - 1.0) / (len(self.labels) - 1))
+
+    def design(self, n: int) -> tuple[np.ndarray, Design]:
+        """
+        Return the group of every participant and the design.
+
+        Parameters
+        ----------
+        n : int
+            Participants in each group.
+        """
+        groups = np.repeat(np.arange(len(np.atleast_2d(self.mean))), n)
+        codes = np.unravel_index(groups, [len(levels) for levels in self.between.values()] or [1])
+        numbers = dict(zip(self.between, codes, strict=False))
+        return groups, Design(len(groups), self.within, self.between, numbers)
+
+    def with_effect(self, eta2_partial: float) -> "Conditions":
+        """
+        Return the population with its means scaled about their mean, to a given partial η².
+
+        Parameters
+        ----------
+        eta2_partial : float
+            In [0, 1).
+
+        Raises
+        ------
+        ValueError
+            If it is out of range, or all means are the same, so that no factor separates them.
+        """
+        eta2 = finite_number("effect_size", eta2_partial)
+        centre = self.mean.mean()
+        shape = self.mean - centre
+        flat = np.abs(shape).max() <= 1e-12 * np.abs(self.mean).max()
+        if not 0.0 <= eta2 < 1.0 or (eta2 > 0.0 and flat):
+            raise ValueError(
+                f"effect_size is a population partial η², in [0, 1) and 0 where all means are the "
+                f"same, got {eta2}"
+            )
+        # η²/(1 − η²) = Σ (μ_j − μ)² / tr M, M the covariance of orthonormal contrasts.
+        error = np.trace(self.covariance) - self.covariance.sum() / len(self.labels)
+        scale = np.sqrt(eta2 / (1.0 - eta2) * error / ((shape**2).sum() or 1.0))
+        return replace(self, mean=centre + scale * shape)
+
+    def with_epsilon(self, epsilon: float) -> "Conditions":
+        """
+        Return the population with `graded_covariance` of the same mean variance and correlation.
+
+        Parameters
+        ----------
+        epsilon : float
+            As for `graded_covariance`.
+        """
+        k = len(self.labels)
+        sd = float(np.sqrt(np.trace(self.covariance) / k))
+        return replace(self, covariance=graded_covariance(k, self.correlation, epsilon, sd))
+
+
+def population_of(
+    mean: Any, covariance: Any, data: pd.DataFrame | None, columns: StudyColumns
+) -> Conditions:
+    """
+    Return the population that means and a covariance, or those of data, make.
+
+    Means are an array, or a mapping or Series that names the conditions, or of several factors is
+    indexed by their levels. Of data, the sample means and covariance are taken for the
+    population's; means given beside data replace those of the conditions that they name, and leave
+    the others out.
+    """
+    names, origin = factors_of(columns), ""
+    if data is not None:
+        if covariance is not None or (len(names) > 1 and mean is not None):
+            raise ValueError(
+                "data= takes the place of covariance=, of several factors of mean= too"
+            )
+        roles = (columns.dv, columns.within, columns.subject)
+        pilot = repeated_measures(data, *roles, between=columns.between, order=columns.order)
+        levels = [*pilot.between.values(), *pilot.within.values()]
+        cells = pd.MultiIndex.from_product(levels) if len(names) > 1 else pilot.scores.columns
+        known = pd.Series(pilot.descriptives()["mean"].to_numpy(), cells)
+        mean = known if mean is None else mean
+        origin, covariance = pilot.origin, pilot.residual_covariance()
+        if origin:
+            warn(
+                f"the covariance is that of {origin}: how much people differ is assumed there, and "
+                "n goes with the square of it"
+            )
+    if mean is None or covariance is None:
+        raise ValueError("give mean= and covariance= of the conditions, or data= to take both from")
+    if not isinstance(mean, dict | pd.Series):
+        values = finite_array("mean", mean)
+        named = isinstance(covariance, pd.DataFrame) and len(covariance) == len(values)
+        mean = pd.Series(values, covariance.index if named else range(1, len(values) + 1))
+    mean = pd.Series(mean, dtype=float)
+    if len(names) > 1:
+        return _population_of_cells(mean, covariance, columns, origin)
+    labels = [*mean.index]
+    if data is not None:
+        if unknown := [name for name in labels if name not in known.index]:
+            raise ValueError(f"mean names {unknown}, but data hold {[*known.index]}")
+        places = known.index.get_indexer(labels)
+        covariance = covariance[np.ix_(places, places)]
+    elif isinstance(covariance, pd.DataFrame) and not (
+        labels == [*covariance.index] == [*covariance.columns]
+    ):
+        raise ValueError(
+            f"covariance must have the conditions {labels} in rows and columns, in this order"
+        )
+    return Conditions(labels, mean.to_numpy(), covariance, origin)
+
+
+def factors_of(columns: StudyColumns) -> list[Hashable]:
+    """Return the factors of a study, those between subjects first."""
+    of_class("columns", columns, StudyColumns)
+    return [*names_of(columns.between), *names_of(columns.within)]
+
+
+def _population_of_cells(
+    mean: pd.Series, covariance: Any, columns: StudyColumns, origin: str
+) -> Conditions:
+    """Return the population of means indexed by the levels of several factors."""
+    names = factors_of(columns)
+    if mean.index.nlevels != len(names):
+        raise ValueError(f"mean must be indexed by {', '.join(map(str, names))}")
+    levels = {name: tuple(mean.index.unique(i)) for i, name in enumerate(names)}
+    cells = mean.reindex(pd.MultiIndex.from_product(levels.values()))
+    for cell in cells.index[cells.isna()]:
+        raise ValueError(f"mean: no number for cell {cell!r} of {names}")
+    between = {name: levels.pop(name) for name in names_of(columns.between)}
+    labels = tuple(product(*levels.values()))
+    means = cells.to_numpy().reshape(-1, len(labels))
+    return Conditions(labels, means if between else means[0], covariance, origin, levels, between)
+
+
 # --- simulated studies ----------------------------------------------------------------------------
 
 
@@ -113,9 +395,11 @@ def findings(
     groups, design = population.design(n)
     root = np.linalg.cholesky(population.covariance).T
     mean = np.atleast_2d(population.mean)[groups]
-    a, b = np.triu_indices(len(population.labels), 1)
     tests: Any = 0
     pairs = pd.DataFrame(0, [*ADJUSTMENTS], ["pairs", "claims"])
+    if claims is not None:
+        weights = level_pairs(design, *design.within)[1]
+        true = weights[:, 0] @ population.mean
     # In parts, so that memory does not grow with the number of studies.
     step = max(1, SCORES // mean.size)
     for first in range(0, simulation.replicates, step):
@@ -126,12 +410,13 @@ def findings(
         tests = tests + hits.groupby("effect", sort=False).sum()
         if claims is None:
             continue
-        compared = condition_pairs(scores)
-        rising = compared.mean_difference * (population.mean[a] - population.mean[b]) > 0.0
-        for name, attribute in ADJUSTMENTS.items():
-            found = getattr(compared, attribute) < simulation.alpha
-            right = (found & rising)[:, claims].all(axis=1) & hits[USUAL_TEST].to_numpy()
-            pairs.loc[name] += [found[:, claims].all(axis=1).sum(), right.sum()]
+        difference, se = differences(regress(scores, design), weights)
+        p = 2.0 * special.stdtr(n - 1, -np.abs(difference / se))
+        usual = hits[USUAL_TEST].to_numpy()[:, None]
+        for name, adjusted in ADJUSTMENTS.items():
+            found = adjusted(p) < simulation.alpha
+            right = found & (difference * true > 0.0) & usual
+            pairs.loc[name] += [part[:, claims].all(axis=1).sum() for part in (found, right)]
     return tests, pairs
 
 
@@ -192,11 +477,6 @@ def _share(count: int, simulation: Simulation) -> dict[str, float]:
     return {"power": power, "ci_low": float(low), "ci_high": float(high)}
 
 
-def exceeds_critical(df1: float, df2: float, strength: float, alpha: float) -> float:
-    """Return the probability that noncentral F exceeds its critical value."""
-    return float(1.0 - special.ncfdtr(df1, df2, strength, special.fdtri(df1, df2, 1.0 - alpha)))
-
-
 # --- power ----------------------------------------------------------------------------------------
 
 
@@ -213,8 +493,14 @@ class PowerAnalysis(Tested):
         Replicates, seed and levels.
     varied : tuple of str
         Columns of `table` that take several values; of several factors n and effect.
-    tests, together : pandas.DataFrame
-        What `table()` and `claims()` return.
+    tests : pandas.DataFrame
+        The power of every F, which `table()` returns: a row per cell, effect and test: n (in each
+        group), effect, effect_size (partial η² of the population), correlation, epsilon,
+        noncentrality, test ("none", "greenhouse-geisser", "huynh-feldt"), power, ci_low, ci_high,
+        replicates, closed_form (noncentral F; NaN where sphericity does not hold or the test is
+        corrected).
+    together : pandas.DataFrame
+        What `claims()` returns.
     """
 
     population: Conditions
@@ -222,20 +508,6 @@ class PowerAnalysis(Tested):
     varied: tuple[str, ...]
     tests: pd.DataFrame
     together: pd.DataFrame
-
-    def table(self) -> pd.DataFrame:
-        """
-        Return the power of every F.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row per cell, effect and test: n (in each group), effect, effect_size (partial η² of
-            the population), correlation, epsilon, noncentrality, test ("none",
-            "greenhouse-geisser", "huynh-feldt"), power, ci_low, ci_high, replicates, closed_form
-            (noncentral F; NaN where sphericity does not hold or the test is corrected).
-        """
-        return super().table()
 
     def claims(self) -> pd.DataFrame:
         """
@@ -249,11 +521,6 @@ class PowerAnalysis(Tested):
             pairs), power, ci_low, ci_high. No rows without claims.
         """
         return self.together.copy()
-
-    @property
-    def origin(self) -> str:
-        """Where these numbers come from, for headers and captions."""
-        return self.population.simulated_origin
 
     @property
     def title(self) -> str:
@@ -290,9 +557,9 @@ class PowerAnalysis(Tested):
         ValueError
             If a test is none of those.
         """
-        tests = [
-            one_of("test", name, TESTS) for name in ([test] if isinstance(test, str) else test)
-        ]
+        tests = [test] if isinstance(test, str) else [*test]
+        for name in tests:
+            one_of("test", name, TESTS)
         against, *others = self.varied or ("n",)
         # Values as computed differ in the last bits between the cells of one line.
         table = self.tests.round(dict.fromkeys(others, 9)).sort_values(against)
@@ -303,8 +570,8 @@ class PowerAnalysis(Tested):
                 for axis, value in zip([*others, "test"], values, strict=True)
             )
             power = part["power"]
-            bars = np.maximum([power - part["ci_low"], part["ci_high"] - power], 0.0)
-            drawn = axes.errorbar(part[against], power, bars, fmt="o-", capsize=3, label=label)
+            ends = [power - part["ci_low"], part["ci_high"] - power]
+            drawn = axes.errorbar(part[against], power, ends, fmt="o-", capsize=3, label=label)
             axes.plot(part[against], part["closed_form"], "x", ms=8, color=drawn[0].get_color())
         axes.set(xlabel=AXES[against], ylabel="power of F", ylim=(-0.02, 1.02))
         axes.set_title(f"{self.origin}; level {self.simulation.alpha:g}", fontsize="small")
@@ -377,7 +644,7 @@ def power_analysis(
     """
     of_class("simulation", simulation, Simulation)
     population = population_of(mean, covariance, data, columns)
-    several = factorial(columns)
+    several = len(factors_of(columns)) > 1
     axes: dict[str, Any] = {"effect_size": effect_size, "epsilon": epsilon}
     for name, value in (axes | {"claims": claims}).items():
         if several and value is not None:
@@ -387,27 +654,29 @@ def power_analysis(
     grid = {
         name: list(value) if np.ndim(value) else [value] for name, value in {"n": n, **axes}.items()
     }
-    sizes = [whole_number("n", size, least=3, most=MOST_N) for size in grid.pop("n")]
-    cells = [*product(sizes, [population.varied(*shape) for shape in product(*grid.values())])]
-    if not cells:
-        raise ValueError("n, effect_size or epsilon is empty: give a number")
     rows, together = [], []
-    for size, cell in cells:
-        tests, pairs = findings(cell, size, simulation, mask)
-        rows += _tests_of(cell, size, tests, simulation)
+    for size, eta2, eps in product(*grid.values()):
+        size = whole_number("n", size, least=3, most=MOST_N)
+        people = population if eps is None else population.with_epsilon(eps)
+        people = people if eta2 is None else people.with_effect(eta2)
+        tests, pairs = findings(people, size, simulation, mask)
+        rows += _tests_of(people, size, tests, simulation)
         if mask is not None:
-            where = {name: rows[-1][name] for name in ("n", *axes)}
+            where = {name: rows[-1][name] for name in grid}
             together += [
                 where | {"adjust": name, "claims": int(mask.sum())} | _share(int(count), simulation)
                 for name, count in pairs["claims"].items()
             ]
-    varied = [name for name, values in {"n": sizes, **grid}.items() if len(values) > 1]
+    if not rows:
+        raise ValueError("n, effect_size or epsilon is empty: give a number")
+    varied = [name for name, values in grid.items() if len(values) > 1]
+    origin = population.simulated_origin
     return PowerAnalysis(
         population,
         simulation,
         ("n", "effect") if several else tuple(varied),
-        labelled(pd.DataFrame(rows), population.simulated_origin),
-        labelled(pd.DataFrame(together), population.simulated_origin),
+        labelled(pd.DataFrame(rows), origin),
+        labelled(pd.DataFrame(together), origin),
     )
 
 
@@ -424,7 +693,9 @@ def _tests_of(
         squares = float(regression.sum_of_squares(contrasts, columns)[0])
         strength = squares * d / np.trace(variances)
         epsilon = float(sphericity(variances, design.df_error)["epsilon_gg"])
-        closed = exceeds_critical(d * len(columns), d * design.df_error, strength, simulation.alpha)
+        df1, df2 = d * len(columns), d * design.df_error
+        critical = special.fdtri(df1, df2, 1.0 - simulation.alpha)
+        closed = 1.0 - special.ncfdtr(df1, df2, strength, critical)
         effect = effect_name(block, names)
         where = {
             "n": n,
@@ -472,16 +743,6 @@ class SmallestN(Tested):
     population: Conditions
     simulation: Simulation
 
-    @property
-    def origin(self) -> str:
-        """Where the numbers come from, for headers and captions."""
-        return self.population.simulated_origin
-
-    @property
-    def message(self) -> str:
-        """Where the numbers come from."""
-        return self.origin
-
     def apa(self) -> str:
         """
         Return the sentences of a methods section: the number, and all that was assumed for it.
@@ -513,7 +774,6 @@ def smallest_n(
     effect_size: float | None = None,
     pair: tuple | None = None,
     test: str | None = None,
-    most: int = 2000,
     simulation: Simulation = USUAL_SIMULATION,
 ) -> SmallestN:
     """
@@ -536,8 +796,6 @@ def smallest_n(
     test : str, optional
         Correction of F, "greenhouse-geisser" (by default), "huynh-feldt" or "none"; of a pair, the
         adjustment of its p-value, "holm" (by default), "bonferroni" or "none".
-    most : int
-        The largest n to try.
     simulation : Simulation
         As for `power_analysis`.
 
@@ -548,7 +806,7 @@ def smallest_n(
     Raises
     ------
     ValueError
-        If an argument is out of range, or even `most` subjects do not reach the power.
+        If an argument is out of range, or even 2,000 subjects do not reach the power.
 
     Examples
     --------
@@ -560,41 +818,41 @@ def smallest_n(
     30
     """
     of_class("simulation", simulation, Simulation)
-    if factorial(of_class("columns", columns, StudyColumns)):
+    if len(factors_of(columns)) > 1:
         raise ValueError(
             "columns: smallest_n takes one factor within subjects; for several factors or groups "
             "compare values of n by power_analysis"
         )
-    population = population_of(mean, covariance, data, columns).varied(effect_size, None)
+    population = population_of(mean, covariance, data, columns)
+    if effect_size is not None:
+        population = population.with_effect(effect_size)
     target = open_unit("power", power)
-    most = whole_number("most", most, least=3, most=MOST_N)
     mask = None if pair is None else claims_mask([pair], population)
-    if mask is None:
-        test = one_of("test", USUAL_TEST if test is None else test, TESTS)
-        name = f"F, {test}"
-    else:
-        test = one_of("test of a pair", "holm" if test is None else test, ADJUSTMENTS)
-        name = f"{pair[0]} – {pair[1]}, {test}"
+    usual, tests = (USUAL_TEST, TESTS) if pair is None else ("holm", ADJUSTMENTS)
+    test = one_of("test", usual if test is None else test, tests)
+    name = "F" if pair is None else f"{pair[0]} – {pair[1]}"
     counts: dict[int, int] = {}
 
     def enough(n: int) -> bool:
-        tests, pairs = findings(population, n, simulation, mask)
-        counts[n] = int(tests.iloc[0][test] if mask is None else pairs.loc[test, "pairs"])
+        hits, pairs = findings(population, n, simulation, mask)
+        counts[n] = int(hits.iloc[0][test] if mask is None else pairs.loc[test, "pairs"])
         return counts[n] >= target * simulation.replicates
 
     low, high = 2, 3
     while not enough(high):
-        if high == most:
+        if high > MOST_TRIED:
             raise ValueError(
-                f"{most} subjects reach a power of {counts[most] / simulation.replicates:.3g} "
-                f"only, {target:g} was wanted. Raise most=, measure each condition more often, "
-                "which makes people differ less, or look for a greater effect"
+                f"power: {high} subjects reach {counts[high] / simulation.replicates:.3g} only, "
+                f"{target:g} was wanted. Measure each condition more often, which makes people "
+                "differ less, or look for a greater effect"
             )
-        low, high = high, min(2 * high, most)
+        low, high = high, 2 * high
     while high - low > 1:
         n = (low + high) // 2
         low, high = (low, n) if enough(n) else (n, high)
-    row = {"test": name, "wanted": target, "n": high} | _share(counts[high], simulation)
+    row = {"test": f"{name}, {test}", "wanted": target, "n": high} | _share(
+        counts[high], simulation
+    )
     row["whole_squares"] = participants_needed(len(population.labels), high)
-    tests = labelled(pd.DataFrame([row]), population.simulated_origin)
-    return SmallestN(tests, population, simulation)
+    table = labelled(pd.DataFrame([row]), population.simulated_origin)
+    return SmallestN(table, population, simulation)

@@ -19,16 +19,16 @@ from trustlab.models.display import Result
 from trustlab.studies.table import (
     Tested,
     column_of,
+    label_column,
     labelled,
     labels_of,
     numbers_of,
     origin_of,
-    refuse_missing_labels,
 )
 
 
-@dataclass(frozen=True, repr=False)
-class Questionnaire(Result):
+@dataclass(frozen=True)
+class Questionnaire:
     """
     A questionnaire whose items are answered on one scale.
 
@@ -66,14 +66,12 @@ class Questionnaire(Result):
     --------
     >>> import trustlab as tl
     >>> ease = tl.studies.Questionnaire("ease", ["quick", "tiring"], 1, 5, reversed=["tiring"])
-    >>> tl.NASA_TLX.message
-    'items answered from 0 to 100: mental, physical, temporal, performance, effort, frustration'
+    >>> tl.NASA_TLX.items
+    ('mental', 'physical', 'temporal', 'performance', 'effort', 'frustration')
     >>> tl.TRUST_CHECKLIST.reversed
     ('deceptive', 'underhanded', 'suspicious', 'wary', 'harmful')
-    >>> ease.table()
-         item  reversed
-    0   quick     False
-    1  tiring      True
+    >>> ease.reversed
+    ('tiring',)
     """
 
     name: str
@@ -91,7 +89,7 @@ class Questionnaire(Result):
         of_class("source", self.source, str)
         of_class("subscales", self.subscales, dict)
         items = labels_of("items", self.items, 1)
-        for name, part in self._parts.items():
+        for name, part in {"reversed": self.reversed, **self.subscales}.items():
             if unknown := {*labels_of(name, part, name in self.subscales)} - {*items}:
                 raise ValueError(f"{name}: {unknown.pop()!r} is none of the items {items}")
         low, high = in_order("low", self.low, "high", self.high)
@@ -100,27 +98,6 @@ class Questionnaire(Result):
             raise ValueError(f"step must divide {low:g} to {high:g} equally, got {self.step:g}")
         flag("task_load", self.task_load)
         self.__dict__.update(items=items, reversed=tuple(self.reversed), low=low, high=high)
-
-    @property
-    def _parts(self) -> dict[str, Sequence[str]]:
-        return {"reversed": self.reversed, **self.subscales}
-
-    @property
-    def title(self) -> str:
-        """Source, or else the name."""
-        return self.source or self.name
-
-    @property
-    def message(self) -> str:
-        """How many items, and their scale."""
-        return (
-            f"items answered from {self.low:g} to {self.high:g}: {', '.join(map(str, self.items))}"
-        )
-
-    def table(self) -> pd.DataFrame:
-        """Return a row per item: item, whether it is reversed, and whether in each subscale."""
-        parts = {name: [item in part for item in self.items] for name, part in self._parts.items()}
-        return pd.DataFrame({"item": self.items, **parts})
 
 
 #: NASA task load index, performance answered from good (0) to poor (100).
@@ -219,7 +196,7 @@ class ScaleScores(Result):
     @property
     def title(self) -> str:
         """The questionnaire."""
-        return self.questionnaire.title
+        return self.questionnaire.source or self.questionnaire.name
 
     @property
     def message(self) -> str:
@@ -322,9 +299,9 @@ def score(
     name, whole = questionnaire.name, next(iter(coded.values()))
     if not questionnaire.task_load:
         scores[f"{name}_sum"] = whole.sum(axis=1)
-        if weights is not None:
+    if weights is not None:
+        if not questionnaire.task_load:
             raise ValueError(f"weights: the items of {name!r} are not weighted")
-    elif weights is not None:
         w = _weights(weights, whole, subject)
         scores[f"{name}_weighted"] = (w * whole).sum(axis=1) / w.sum(axis=1)
     names = {"subject": subject, "condition": condition}
@@ -340,7 +317,7 @@ def _read(
     of_class(argument, frame, pd.DataFrame)
     keys = {"subject": subject} | ({} if condition is None else {"condition": condition})
     for key, name in keys.items():
-        refuse_missing_labels(column_of(frame, key, name), key)
+        label_column(frame, key, name)
     index = pd.MultiIndex.from_arrays([frame[name] for name in keys.values()], names=keys)
     if frame.empty or index.has_duplicates:
         raise ValueError(
@@ -363,9 +340,8 @@ def _coded(questionnaire: Questionnaire, answers: pd.DataFrame) -> dict[str, pd.
     if questionnaire.task_load:
         answers = 100.0 * (answers - low) / (high - low)
         low, high, kind = 0.0, 100.0, "raw"
-    whole = answers.copy()
-    for item in questionnaire.reversed:
-        whole[item] = low + high - whole[item]
+    whole, turned = answers.copy(), [*questionnaire.reversed]
+    whole[turned] = low + high - whole[turned]
     parts = {part: answers[list(items)] for part, items in questionnaire.subscales.items()}
     return {f"{questionnaire.name}_{kind}": whole, **parts}
 
@@ -373,18 +349,13 @@ def _coded(questionnaire: Questionnaire, answers: pd.DataFrame) -> dict[str, pd.
 def _weights(weights: pd.DataFrame, answers: pd.DataFrame, subject: str) -> pd.DataFrame:
     """Return a weight per item for every row of the answers."""
     w = _read("weights", weights, answers.columns, subject, None)
-    w.index = w.index.get_level_values("subject")
-    # Landau (1953): of k items, the j chosen least meet each other j(j − 1)/2 times.
-    least = np.cumsum(range(w.shape[1]))
-    wins = np.sort(w).cumsum(axis=1)
-    bad = (wins < least).any(axis=1) | (wins[:, -1] != least[-1]) | (w % 1.0 != 0.0).any(axis=1)
-    for label in w.index[bad]:
-        raise ValueError(
-            f"weights: no choices between two items give {w.loc[label].tolist()} of {label!r}"
-        )
-    people = answers.index.get_level_values("subject")
-    for label in people[~people.isin(w.index)]:
+    w.index, people = (table.index.get_level_values("subject") for table in (w, answers))
+    for label in people.difference(w.index):
         raise ValueError(f"weights: there are none for subject {label!r}")
+    for label in w.index[(w < 0.0).any(axis=1) | (w.sum(axis=1) != 15.0)]:
+        raise ValueError(
+            f"weights: {w.loc[label].tolist()} of {label!r} are not those of fifteen choices"
+        )
     return w.loc[people].set_axis(answers.index)
 
 
@@ -420,19 +391,19 @@ def tlx_weights(
     of_class("choices", choices, pd.DataFrame)
     columns = {"subject": subject, "first": first, "second": second, "chosen": chosen}
     for argument, name in columns.items():
-        refuse_missing_labels(column_of(choices, argument, name), argument)
-    every = {frozenset(pair) for pair in combinations(NASA_TLX.items, 2)}
-    rows = []
+        label_column(choices, argument, name)
+    items, rows = NASA_TLX.items, []
     for label, part in choices.groupby(subject, sort=False):
-        pairs = [frozenset(pair) for pair in zip(part[first], part[second], strict=True)]
-        inside = all(pick in pair for pick, pair in zip(part[chosen], pairs, strict=True))
-        if not inside or {*pairs} != every or len(pairs) > len(every):
+        triples = part[[first, second, chosen]].itertuples(index=False)
+        picks = {frozenset(pair): pick for *pair, pick in triples}
+        wrong = [pair for pair in combinations(items, 2) if picks.get(frozenset(pair)) not in pair]
+        if wrong or len(part) > 15:
             raise ValueError(
-                f"chosen: subject {label!r} must have one row per pair of {NASA_TLX.items}, with "
-                "one of the two"
+                f"chosen: subject {label!r} must have one row for each pair of {items}, with one "
+                f"of the two; it has {len(part)} rows, and none such for {wrong}"
             )
-        rows.append([label, *(int((part[chosen] == item).sum()) for item in NASA_TLX.items)])
-    return pd.DataFrame(rows, columns=[subject, *NASA_TLX.items])
+        rows.append([label, *(int((part[chosen] == item).sum()) for item in items)])
+    return pd.DataFrame(rows, columns=[subject, *items])
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,26 +9,29 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import one_of, open_unit
+from trustlab.models.checks import finite_array, one_of, open_unit
 from trustlab.models.display import axes_or_new
 from trustlab.studies import pairs
 from trustlab.studies.anova import (
     CORRECTIONS,
     Design,
     Regression,
+    effect_name,
     effects,
     partial_eta_interval,
     regress,
 )
 from trustlab.studies.table import (
-    ScoreTable,
+    Columns,
+    Levels,
     Tested,
     complete_scores,
     labelled,
+    mark,
     names_of,
+    numbers_of,
     read_cells,
     read_factors,
-    read_groups,
 )
 from trustlab.studies.words import apa_report
 
@@ -43,19 +46,23 @@ class RepeatedMeasures(Tested):
 
     Parameters
     ----------
-    scores : ScoreTable
-        What was analysed. The conditions of several factors are their cells, as tuples.
+    scores : pandas.DataFrame
+        What was analysed: a row per subject, a column per condition, or cell of several factors.
     design : Design
         Factors within and between subjects, and groups.
     tests : pandas.DataFrame
-        What `table` returns.
+        What `table` returns: the test of every effect, sums of squares of type III. Columns dv,
+        within (the factors), effect, n, k; those of `repeated_measures_batch`; the correction that
+        applies: correction, df1_corrected, df2_corrected, p_corrected, and eta2_partial_low,
+        eta2_partial_high (90 %) with its degrees of freedom; alpha, excluded (how many subjects),
+        origin.
     excluded : tuple
         Subjects left out for missing cells.
     correction_rule : {"greenhouse-geisser", "huynh-feldt", "none"}
         The correction asked for.
     """
 
-    scores: ScoreTable
+    scores: pd.DataFrame
     design: Design
     tests: pd.DataFrame
     excluded: tuple
@@ -64,7 +71,7 @@ class RepeatedMeasures(Tested):
     @property
     def conditions(self) -> tuple:
         """Labels of the conditions: the levels of one factor, or the cells of several."""
-        return self.scores.conditions
+        return tuple(self.scores.columns)
 
     @property
     def within(self) -> Mapping[Hashable, Sequence]:
@@ -77,14 +84,9 @@ class RepeatedMeasures(Tested):
         return self.design.between
 
     @property
-    def origin(self) -> str:
-        """Synthetic or reconstructed data; empty for measured data."""
-        return self.scores.origin
-
-    @property
     def one_way(self) -> bool:
         """Whether there is one factor within subjects and nothing else."""
-        return len(self.within) == 1 and not self.between
+        return len(self.within) == 1 and not {*self.between, *self.design.covariates}
 
     @property
     def title(self) -> str:
@@ -92,31 +94,12 @@ class RepeatedMeasures(Tested):
         origin = f" [{self.origin}]" if self.origin else ""
         return f"{self.dv} by {', '.join(map(str, [*self.within, *self.between]))}{origin}"
 
-    @property
-    def message(self) -> str:
-        """The sentences for a paper, and where scores look like ratings which tests fit them."""
-        return f"{self.apa()} {pairs.rating_note(self.scores.values)}".strip()
-
     def _refuse_several_factors(self, name: str) -> None:
         if not self.one_way:
             raise ValueError(
                 f"{name} is for one factor within subjects, without groups; this design has "
                 f"{[*self.within, *self.between]}"
             )
-
-    def table(self) -> pd.DataFrame:
-        """
-        Return the test of every effect, sums of squares of type III; nothing is rounded.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns dv, within (the factors), effect, n, k; those of `repeated_measures_batch`; the
-            correction that applies: correction, df1_corrected, df2_corrected, p_corrected, and
-            eta2_partial_low, eta2_partial_high (90 %) with its degrees of freedom; alpha, excluded
-            (how many subjects), origin.
-        """
-        return super().table()
 
     def descriptives(self) -> pd.DataFrame:
         """
@@ -129,21 +112,18 @@ class RepeatedMeasures(Tested):
             two 95 % intervals of the mean: ci_low and ci_high between subjects, ci_low_within and
             ci_high_within after Cousineau and Morey.
         """
-        sizes = [len(levels) for levels in self.between.values()] or [1]
-        codes = [self.design.groups[name] for name in self.between] or [np.zeros(self.n, dtype=int)]
-        number = np.ravel_multi_index(codes, sizes)
-        stats = [describe(self.scores.values[number == i]) for i in range(np.prod(sizes))]
+        groups = [*self.design.groups.values()]
+        people: Any = self.scores.groupby(groups) if groups else [((), self.scores)]
+        stats = pd.concat([describe(part.to_numpy()) for _, part in people], ignore_index=True)
         names = ["condition"] if self.one_way else [*self.between, *self.within]
         cells = [*product(*self.between.values(), *self.within.values())]
-        table = pd.DataFrame(cells, columns=names).join(pd.concat(stats, ignore_index=True))
-        return labelled(table, self.origin)
+        return labelled(pd.DataFrame(cells, columns=names, dtype=object).join(stats), self.origin)
 
     def pairs(
         self,
         factor: Hashable = None,
         at: Hashable = None,
         *,
-        method: str = "t",
         confidence: float = 0.95,
     ) -> pd.DataFrame:
         """
@@ -156,8 +136,6 @@ class RepeatedMeasures(Tested):
         factor, at : hashable, optional
             The factor compared (by default the only one within subjects) and the one whose levels
             are fixed; p-values are adjusted within each level.
-        method : {"t", "wilcoxon"}
-            Paired t-tests, or Wilcoxon's signed-rank tests of one factor.
         confidence : float
             Level of the intervals.
 
@@ -167,33 +145,27 @@ class RepeatedMeasures(Tested):
             Columns level (of `at`, with several factors) a b mean_difference (a − b) t p ci_low
             ci_high (unadjusted) df p_bonferroni p_holm d_z (mean over the residual standard
             deviation of the differences; NaN between groups) d_z_low d_z_high; of one factor also
-            d_av (mean over the mean of both standard deviations). For "wilcoxon", a b V p method
-            rank_biserial median_difference p_bonferroni p_holm; p is NaN where no subject's scores
-            differ.
+            d_av (mean over the mean of both standard deviations).
 
         Raises
         ------
         ValueError
-            If a factor is unknown or missing, both are the same, or an argument has no effect.
+            If a factor is unknown or missing, or both are the same.
         """
+        level = open_unit("confidence", confidence)
         if factor is None and len(self.within) == 1:
             factor = next(iter(self.within))
-        if one_of("method", method, ("t", "wilcoxon")) == "wilcoxon":
-            self._refuse_several_factors('pairs(method="wilcoxon")')
-        level = open_unit("confidence", confidence)
-        table = pairs.factor_pairs(self._regression(), factor, at, level)
+        table = pairs.factor_pairs(self._regression(), factor, at, level).drop(columns="se")
         if self.one_way:
-            table = table.drop(columns="level")
-            sd = self.scores.values.std(axis=0, ddof=1)
+            sd = self.scores.std().to_numpy()
             a, b = np.triu_indices(self.k, 1)
             both = 0.5 * (sd[a] + sd[b])
-            table["d_av"] = table["mean_difference"] / np.where(both > 0.0, both, np.nan)
-        if method == "wilcoxon":
-            table = table[["a", "b"]].join(pairs.rank_pairs(self.scores.values))
+            d_av = table["mean_difference"] / np.where(both > 0.0, both, np.nan)
+            table = table.drop(columns="level").assign(d_av=d_av)
         return labelled(table, self.origin)
 
     def _regression(self) -> Regression:
-        return regress(self.scores.values[None], self.design)
+        return regress(self.scores.to_numpy()[None], self.design)
 
     def residual_covariance(self) -> np.ndarray:
         """Return the covariance of the cells, given the groups."""
@@ -202,13 +174,13 @@ class RepeatedMeasures(Tested):
     def normality(self) -> pd.DataFrame:
         """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
         self._refuse_several_factors("normality()")
-        tests = pairs.normality_of_differences(self.scores.values)
+        tests = pairs.normality_of_differences(self.scores.to_numpy())
         return labelled(pd.concat([self.pairs()[["a", "b"]], tests], axis=1), self.origin)
 
     def friedman(self) -> pd.DataFrame:
         """Return Friedman's rank test of one factor: columns chi2, df, p, kendall_w."""
         self._refuse_several_factors("friedman()")
-        return labelled(pairs.friedman(self.scores.values), self.origin)
+        return labelled(pairs.friedman(self.scores.to_numpy()), self.origin)
 
     def assumptions(self) -> pd.DataFrame:
         """
@@ -257,21 +229,20 @@ class RepeatedMeasures(Tested):
         -------
         matplotlib.axes.Axes
         """
-        factor, levels = next(iter(self.within.items()))
-        stats = self.descriptives()
-        lines = [name for name in (*self.between, *self.within) if name != factor]
+        factor, *others = self.within
+        stats, levels, lines = self.descriptives(), self.within[factor], [*self.between, *others]
         cells: Any = stats.groupby(lines, sort=False) if lines else [((), stats)]
-        axes = axes_or_new(axes, figsize=(max(4.2, 1.6 + 0.9 * len(levels)), 3.6))
+        axes = axes_or_new(axes, figsize=(5.6, 3.6))
         for i, (cell, rows) in enumerate(cells):
-            mean, label = rows["mean"], ", ".join(map(str, cell))
-            reach = [mean - rows["ci_low"], rows["ci_high"] - mean]
-            places = np.arange(len(levels)) + 0.06 * i
-            axes.errorbar(places, mean, reach, fmt="o-" if lines else "o", capsize=5, label=label)
+            mean, places = rows["mean"], np.arange(len(levels)) + 0.06 * i
+            ends = [mean - rows["ci_low"], rows["ci_high"] - mean]
+            label, style = ", ".join(map(str, cell)), "o-" if lines else "o"
+            axes.errorbar(places, mean, ends, fmt=style, capsize=5, label=label)
         if lines:
             axes.legend(fontsize="small", title=", ".join(map(str, lines)))
-        axes.set_xticks(range(len(levels)), [str(level) for level in levels])
-        origin = f"{self.origin}: " if self.origin else ""
-        axes.set_title(f"{origin}means, 95 % intervals (N = {self.n})", fontsize="small", wrap=True)
+        axes.set_xticks(range(len(levels)), [*map(str, levels)])
+        title = f"{mark(self.origin)}means, 95 % intervals (N = {self.n})"
+        axes.set_title(title, fontsize="small", wrap=True)
         axes.set(xlabel=str(factor), ylabel=str(self.dv))
         return axes
 
@@ -285,27 +256,27 @@ def describe(values: np.ndarray) -> pd.DataFrame:
     removes.
     """
     n, k = values.shape
-    names = {"mean": "mean", "std": "sd", "sem": "se", "median": "median"}
-    names |= {"min": "minimum", "max": "maximum"}
-    stats = pd.DataFrame(values).agg([*names]).T.rename(columns=names)
-    stats.insert(0, "n", n)
+    mean, sd = values.mean(axis=0), values.std(axis=0, ddof=1)
+    stats = {"n": n, "mean": mean, "sd": sd, "se": sd / np.sqrt(n)}
+    stats["median"] = np.median(values, axis=0)
+    stats |= {"minimum": values.min(axis=0), "maximum": values.max(axis=0)}
     centred = values - values.mean()  # a common offset would cost digits in the subjects' means
     inside = centred - centred.mean(axis=1, keepdims=True)
-    within_sd = inside.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
+    within = inside.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
     width = special.stdtrit(n - 1, 0.975) / np.sqrt(n)
-    for end, sd in {"": stats["sd"], "_within": within_sd}.items():
-        stats[f"ci_low{end}"] = stats["mean"] - width * sd
-        stats[f"ci_high{end}"] = stats["mean"] + width * sd
-    return stats
+    for end, spread in {"": sd, "_within": within}.items():
+        stats |= {f"ci_low{end}": mean - width * spread, f"ci_high{end}": mean + width * spread}
+    return pd.DataFrame(stats)
 
 
 def repeated_measures(
     frame: pd.DataFrame,
     dv: Hashable,
-    within: Hashable | list[Hashable],
+    within: Columns,
     subject: Hashable,
     *,
-    between: Hashable | list[Hashable] | None = None,
+    between: Columns = None,
+    covariates: Columns = None,
     missing: str = "raise",
     order: Any = None,
     correction: str = "greenhouse-geisser",
@@ -324,6 +295,9 @@ def repeated_measures(
         The column with the condition, or a list of those of several crossed factors.
     between : hashable or list of hashable, optional
         Columns with groups of subjects, each of whom is in one; only by keyword.
+    covariates : hashable or list of hashable, optional
+        Columns with a number of each subject, such as age, taken about its mean; they interact with
+        the factors within subjects.
     missing : {"raise", "listwise"}
         Whether a missing cell is an error, or its subject is left out (and named in `.excluded`).
     order : sequence or dict, optional
@@ -366,37 +340,63 @@ def repeated_measures(
     alpha = open_unit("alpha", alpha)
     if not names_of(within):
         raise ValueError("within must name a column")
-    levels, groups = read_factors(frame, dv, within, subject, between, order)
-    scores, excluded = complete_scores(read_cells(frame, dv, levels, subject), missing)
-    read = {name: read_groups(frame, name, listed, scores) for name, listed in groups.items()}
-    numbers = {name: codes for name, (_, codes) in read.items()}
-    groups = {name: group for name, (group, _) in read.items()}
-    design = Design(len(scores.subjects), levels, groups, numbers)
+    levels, groups = read_factors(frame, dv, within, subject, between, order, covariates)
+    cells = read_cells(frame, dv, levels, subject)
+    call = f"tl.mixed_model(frame, {dv!r}, {within!r}, {subject!r}, between={between!r})"
+    remedy = "leave them out with missing='listwise'"
+    if not covariates:
+        remedy += f"; or call {call}, which takes missing cells"
+    scores, excluded = complete_scores(cells, dv, missing, remedy)
+    design = _design(frame, scores, subject, levels, groups, names_of(covariates))
+    tests = effects(scores.to_numpy()[None], design).loc[0].reset_index()
+    origin = scores.attrs.get("origin", "")
+    rows = [
+        {"dv": dv, "within": effect_name((), (*levels,)), "effect": row.pop("effect")}
+        | {"n": design.n, "k": scores.shape[1]}
+        | row
+        | _corrected(row, design, correction)
+        | {"alpha": alpha, "excluded": len(excluded), "origin": origin}
+        for row in tests.to_dict("records")
+    ]
+    table = labelled(pd.DataFrame(rows), origin)
+    return RepeatedMeasures(scores, design, table, excluded, correction)
+
+
+def _design(
+    frame: pd.DataFrame,
+    scores: pd.DataFrame,
+    subject: Hashable,
+    levels: Levels,
+    groups: Levels,
+    covariates: list[Hashable],
+) -> Design:
+    """Return the design of the subjects whose scores are complete."""
+    people = frame.drop_duplicates(subject).set_index(subject).loc[scores.index]
+    codes, numbers = {}, {}
+    for name, listed in groups.items():
+        members = people[name].tolist()
+        if min(map(members.count, listed)) < 2:
+            raise ValueError(
+                f"between: every group of column {name!r}, {listed}, needs two complete "
+                f"participants, got {members}"
+            )
+        codes[name] = np.array([*map(listed.index, members)])
+    for name in covariates:
+        x = finite_array("covariates", numbers_of(people[name], "covariates"))
+        numbers[name] = (x - x.mean()) / (x.std() or 1.0)
+    design = Design(len(scores), levels, groups, codes, numbers)
     columns = design.matrix.shape[1]
     if np.linalg.matrix_rank(design.matrix) < columns:
         raise ValueError(
-            f"between: some combination of {[*groups]} has no participant: its effects are not "
-            "defined"
+            f"between: effects of {[*groups, *covariates]} are not defined: some combination of "
+            "groups has no participant, or a covariate follows from them"
         )
     if design.df_error < 1:
         raise ValueError(
-            f"subject: {design.n} participants {[*scores.subjects]} for {columns} parameters leave "
+            f"subject: {design.n} participants {[*scores.index]} for {columns} parameters leave "
             "nothing to estimate the error from"
         )
-    try:
-        tests = effects(scores.values[None], design).loc[0].reset_index()
-    except ValueError as error:
-        reason = str(error).removeprefix("study 0: ")
-        raise ValueError(f"dv: column {scores.dv!r} by {scores.within!r}: {reason}") from None
-    first = {"dv": scores.dv, "within": scores.within}
-    size = {"n": design.n, "k": len(scores.conditions)}
-    last = {"alpha": alpha, "excluded": len(excluded), "origin": scores.origin}
-    rows = [
-        first | {"effect": row.pop("effect")} | size | _corrected(row, design, correction) | last
-        for row in tests.to_dict("records")
-    ]
-    table = labelled(pd.DataFrame(rows), scores.origin)
-    return RepeatedMeasures(scores, design, table, excluded, correction)
+    return design
 
 
 def _corrected(test: dict, design: Design, correction: str) -> dict[str, Any]:
@@ -411,7 +411,7 @@ def _corrected(test: dict, design: Design, correction: str) -> dict[str, Any]:
     # λ = n d ε η²/(1 − η²) in the population, for d contrasts within subjects.
     total = df2 + epsilon * (design.n - design.df_error) * d
     low, high = interval.noncentrality_low, interval.noncentrality_high
-    return test | {
+    return {
         "correction": correction,
         "df1_corrected": df1,
         "df2_corrected": df2,

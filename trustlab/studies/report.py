@@ -1,7 +1,6 @@
-"""The Results section of a paper: sentences, tables and a figure, written to HTML or LaTeX."""
+"""The Results section of a paper: sentences and tables, written to HTML or LaTeX."""
 
 import html
-import io
 import os
 import re
 from collections.abc import Hashable, Mapping
@@ -47,15 +46,12 @@ class StudyReport(Result):
         What kind of data these are where they were not measured; else empty.
     """
 
+    title = "Report"
+
     result: Any
     message: str
     tables: dict[str, pd.DataFrame]
     origin: str
-
-    @property
-    def title(self) -> str:
-        """The origin, where data were not measured."""
-        return f"Report [{self.origin}]" if self.origin else "Report"
 
     def table(self) -> pd.DataFrame:
         """Return what `result.table()` does, or the table itself."""
@@ -63,7 +59,7 @@ class StudyReport(Result):
 
     def write(self, path: str | os.PathLike) -> Path:
         """
-        Write text, tables and (in HTML, of an analysis of variance) the figure to a file.
+        Write text and tables to a file.
 
         Estimates have as many decimals as their errors ask for, at least two; p-values have three.
 
@@ -84,15 +80,15 @@ class StudyReport(Result):
         path = Path(path)
         kind = one_of(f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex"))
         mark = f" [{self.origin}]" if self.origin else ""
-        tables = {title + mark: _printed(table) for title, table in self.tables.items()}
+        tables = {title + mark: printed(table) for title, table in self.tables.items()}
         words = "\n".join([self.message, *tables, *(table.to_csv() for table in tables.values())])
         if control := re.search(r".*[\x00-\x08\x0b-\x1f\x7f-\x9f]", words):
             raise ValueError(
                 f"{control.group()[-60:]!r} holds a control character, which no document can show; "
                 "rename the level or column in the data"
             )
-        text = _html(self, tables) if kind == ".html" else _latex(self.message, tables)
-        path.write_text(text, encoding="utf-8")
+        document = _html if kind == ".html" else _latex
+        path.write_text(document(self.message, tables), encoding="utf-8")
         return path
 
 
@@ -143,18 +139,16 @@ def report(
     result = frame if dv is None else repeated_measures(frame, dv, within, subject, **options)
     if isinstance(result, RepeatedMeasures):
         return StudyReport(result, result.message, _section(result), result.origin)
-    if not isinstance(result, pd.DataFrame) and not hasattr(result, "table"):
+    if not hasattr(result, "table") and not isinstance(result, pd.DataFrame):
         raise ValueError(
             "frame must be a table with dv=, within=, subject=, or a result, got "
             f"{type(frame).__name__}"
         )
-    table, title = result, "Results"
-    if not isinstance(result, pd.DataFrame):
-        table = result.table()
-        title = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(result).__name__).capitalize()
-    named = table.reset_index() if table.index.names != [None] else table
+    table = result if isinstance(result, pd.DataFrame) else result.table()
+    named = _with_names(table)
     if len(named) == 1 and named.shape[1] > _WIDE:
-        named = _printed(named).T.reset_index().set_axis(["statistic", "value"], axis=1)
+        named = printed(named).T.reset_index().set_axis(["statistic", "value"], axis=1)
+    title = getattr(result, "title", "Results")
     return StudyReport(result, _sentences(result), {title: named}, _origin(result, table))
 
 
@@ -174,15 +168,13 @@ def _section(result: RepeatedMeasures) -> dict[str, pd.DataFrame]:
         of_factor = "" if result.one_way else f" of {factor}"
         pairs = result.pairs(factor).drop(columns=["level", "d_av"], errors="ignore")
         tables[f"Pairwise comparisons{of_factor}"] = pairs
-    for table in tables.values():
-        table.attrs["labels"] = [*map(str, labels)]
     return tables
 
 
 def _side_by_side(
     results: Mapping[Hashable, Any], thresholds: Mapping[Hashable, Any]
 ) -> StudyReport:
-    """Return results of one kind as one table, a row for each: estimates with standard errors."""
+    """Return results of one kind as one table; of fits a row for each: estimates with errors."""
     if not results or (thresholds and set(thresholds) != set(results)):
         raise ValueError(
             f"frame is a dict of results, {shown([*results])}, and thresholds must have one for "
@@ -196,11 +188,11 @@ def _side_by_side(
     if {"value", "stderr"} <= set(whole):
         title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
         rows = []
-        for name, result in results.items():
-            texts = _printed(_estimates(result)).replace({"standard error": {"": "–"}})
+        for name, fit in results.items():
+            texts = printed(_estimates(fit)).replace({"standard error": {"": "–"}})
             cells = texts["value"] + " ± " + texts["standard error"]
-            failed = "" if getattr(result, "success", True) else " (the fit failed)"
-            row = {"of": f"{name}{failed}"} | dict(zip(texts["parameter"], cells, strict=True))
+            row = {"of": f"{name}{'' if fit.success else ' (the fit failed)'}"}
+            row |= dict(zip(texts["parameter"], cells, strict=True))
             rows.append(row | (_chosen(thresholds[name]) if thresholds else {}))
         table = pd.DataFrame(rows).fillna("")
     return StudyReport(whole, text, {title: table}, ", ".join(sorted(origins)))
@@ -241,33 +233,29 @@ def _origin(result: Any, table: pd.DataFrame) -> str:
     return getattr(result, "origin", "") or table.attrs.get("origin", "") or synthetic
 
 
-def _printed(table: pd.DataFrame) -> pd.DataFrame:
+def _with_names(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table whose index, where it has a name, is columns."""
+    return table.reset_index() if table.index.names != [None] else table
+
+
+def printed(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table of texts with the roundings and heads of a paper."""
-    named = table.reset_index() if table.index.names != [None] else table
+    named = _with_names(table)
     texts = apa_table(named.rename(columns=str).rename_axis(columns=None))
     texts = texts.astype(object).where(texts.notna(), "").map(str).rename(columns=in_words)
     if "confidence" in named:
         level = f"{100.0 * named['confidence'].iloc[0]:g}%"
-        texts = texts.rename(columns=lambda head: head.replace("95%", level))
-    for name in ("parameter", "correction"):
-        if name in texts:
-            texts[name] = texts[name].map(in_words)
+        texts.columns = texts.columns.str.replace("95%", level)
+    for name in texts.columns.intersection(["parameter", "correction"]):
+        texts[name] = texts[name].map(in_words)
     return texts
 
 
-def _html(study: StudyReport, tables: dict[str, pd.DataFrame]) -> str:
-    parts = [f"<p>{html.escape(study.message)}</p>"] if study.message else []
+def _html(text: str, tables: dict[str, pd.DataFrame]) -> str:
+    parts = [f"<p>{html.escape(text)}</p>"] if text else []
     for number, (title, table) in enumerate(tables.items(), start=1):
         caption = f"<p><b>Table {number}</b><br><i>{html.escape(title)}</i></p>"
         parts += [caption, table.to_html(index=False, border=0)]
-    if isinstance(study.result, RepeatedMeasures):
-        import matplotlib.pyplot as plt
-
-        drawing = io.StringIO()
-        axes = study.result.plot()
-        axes.figure.savefig(drawing, format="svg")
-        plt.close(axes.figure)
-        parts.append(drawing.getvalue()[drawing.getvalue().index("<svg") :])
     return "\n".join(parts)
 
 

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +22,9 @@ from trustlab.sessions.writing import write_session
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.table import labelled, labels_of
+from trustlab.studies.words import listed
 from trustlab.testbeds.deciding import warn_if_too_short
-from trustlab.testbeds.testbed import TESTBEDS, ConditionTestbed, Testbed, named_testbed
+from trustlab.testbeds.testbed import ConditionTestbed, Testbed, named_testbed
 
 # Where the measures come from, for headers and captions.
 ORIGIN = "simulated operators"
@@ -96,21 +96,17 @@ class VirtualStudy(Result):
         Raises
         ------
         ValueError
-            If a column is missing or unknown, a condition is not the study's, or a participant is.
+            If a column is missing or unknown, or a condition is not the study's.
         """
-        names = {*measures.columns}
-        if not {*KEYS} <= names <= {*KEYS, *self.names}:
+        if not {*KEYS} <= {*measures.columns} <= {*self.measures.columns}:
             raise ValueError(
                 f"measures must have the columns {KEYS}, and of {self.names} those that were "
                 f"measured, got {[*measures.columns]}"
             )
         for condition in measures["condition"].unique():
             one_of("condition", condition, self.conditions)
-        if twice := {*measures["participant"]} & {*self.measures["participant"]}:
-            raise ValueError(f"participant {twice.pop()!r} is in the study already; rename theirs")
-        kind = self.measures["condition"].dtype
-        frames = [self.measures.astype({"condition": object}), measures]
-        joint = pd.concat(frames, ignore_index=True).astype({"condition": kind})
+        joint = pd.concat([self.measures, measures], ignore_index=True)
+        joint["condition"] = pd.Categorical(joint["condition"], self.conditions)
         return replace(self, measures=joint)
 
     def analysis(
@@ -135,8 +131,8 @@ class VirtualStudy(Result):
             variance.
         """
         one_of("dv", dv, self.names)
-        compared = self.conditions if conditions is None else tuple(conditions)
-        rows = self.measures[self.measures["condition"].isin(compared)]
+        compared = list(self.conditions if conditions is None else conditions)
+        rows = self.measures.query("condition in @compared")
         return repeated_measures(rows, dv, "condition", "participant", order=compared, **options)
 
     def table(self) -> pd.DataFrame:
@@ -155,14 +151,14 @@ class VirtualStudy(Result):
         for name in self.names:
             complete = self.measures[name].notna().groupby(self.measures["condition"]).all()
             measured = [condition for condition in self.conditions if complete[condition]]
-            lacking = ", ".join(name for name in self.conditions if name not in measured)
-            note = f"without {lacking}, which do not have it for everyone" if lacking else ""
-            row = {"measure": name, "conditions": " ".join(measured), "correction": ""}
+            row = {"measure": name, "conditions": " ".join(measured), "correction": "", "note": ""}
+            if lacking := ", ".join(complete.index[~complete]):
+                row["note"] = f"without {lacking}, which do not have it for everyone"
             try:
                 row |= self.analysis(name, measured).tests.loc[0, TEST].to_dict()
             except ValueError as error:
-                note = str(error)
-            rows.append(row | {"note": note})
+                row["note"] = str(error)
+            rows.append(row)
         table = pd.DataFrame(rows, columns=["measure", "conditions", *TEST, "note"])
         table.columns = table.columns.str.removesuffix("_corrected")
         return labelled(table, self.origin)
@@ -180,8 +176,7 @@ class VirtualStudy(Result):
         -------
         numpy.ndarray of matplotlib.axes.Axes
         """
-        measures = self.testbed.measures if measures is None else measures
-        names = [measures] if isinstance(measures, str) else list(measures)
+        names = list(self.testbed.measures if measures is None else measures)
         title = f"{self.origin}, n = {self.measures['participant'].nunique()}"
         size = (2.5 * len(names), 3.2)
         axes = axes_or_new(None, 1, len(names), title, squeeze=False, figsize=size)[0]
@@ -197,12 +192,11 @@ class VirtualStudy(Result):
     @property
     def message(self) -> str:
         """What was simulated, and who is not in it."""
-        setting = ", ".join(
-            f"{name} {value}" for name, value in self.settings.items() if value is not None
-        )
+        settings = [f"{name} {value}" for name, value in self.settings.items() if value is not None]
         text = (
             f"{len(self.participants)} simulated operators ({self.testbed.origin}), conditions "
-            f"{', '.join(self.conditions)}; {setting}. No person took part in it."
+            f"{listed(self.conditions)}; {listed(settings)}. No person took part in "
+            "it."
         )
         if len(self.failures):
             text += f" Failed and left out: {counted(len(self.failures), 'participant')}."
@@ -216,7 +210,7 @@ def virtual_study(
     conditions: Sequence[Any] | None = None,
     seed: int = 0,
     *,
-    testbed: str | Testbed | None = None,
+    testbed: str | Testbed = "ground_robot",
     assumptions: Mapping[str, float] | None = None,
     laps: int | None = None,
     n_jobs: int = 1,
@@ -248,8 +242,8 @@ def virtual_study(
         Of the design, of the people and of all runs. With the same seed, the people of a smaller
         study are the first of a larger one.
     testbed : {"ground_robot", "uav_following", "uav_tracking", "robot_team"} or Testbed, optional
-        Where conditions are run: on the testbed of Section 2.4.1 (by default), of Section 2.4.2, of
-        Chapter 3 (by default for its schemes), or of Chapter 4 (for its policies). A `GroundRobot`,
+        Where conditions are run: on the testbed of Section 2.4.1, of Section 2.4.2, of Chapter 3
+        (for its schemes), or of Chapter 4 (for its policies). A `GroundRobot`,
         `UavFollowing`, `UavTracking` or `RobotTeam` of `trustlab.testbeds` has settings:
         population, laps, rest, duration; any object with the protocol `Testbed` will do.
     assumptions : mapping of str to float, optional
@@ -347,32 +341,21 @@ def _fitting(
     if not isinstance(conditions, list | tuple | None):
         raise ValueError(f"conditions must be a list of names, got {shown(conditions)}")
     # A leader policy has its name with it.
-    listed = [
+    named = [
         (item.title, partial(copy, item)) if hasattr(item, "leader") else item
         for item in conditions or ()
     ]
-    rules = dict(item for item in listed if isinstance(item, tuple))
-    names = tuple(item[0] if isinstance(item, tuple) else item for item in listed)
+    rules = dict(item for item in named if isinstance(item, tuple))
+    names = tuple(item[0] if isinstance(item, tuple) else item for item in named)
     if any("/" in str(name) for name in rules):  # it becomes part of file names
         raise ValueError(f"conditions: the name of a rule must be text without /, got {[*rules]}")
-    if testbed is None:
-        kinds: Mapping[str, Any] = TESTBEDS
-        known = {title: [*kind.conditions, *rules] for title, kind in kinds.items()}
-        fitting = [title for title in known if all(name in known[title] for name in names)]
-        if not fitting:
-            for name in names:
-                one_of("a condition", name, dict.fromkeys(chain(*known.values())))
-            raise ValueError(
-                f"conditions {', '.join(names)} are of several testbeds; make a study of each"
-            )
-        testbed = fitting[0]
     bed = named_testbed(testbed, laps)
     if rules:
         if not getattr(bed, "takes_rules", False):
             raise ValueError(f"on {bed.title} no rule decides; conditions are names alone")
         bed = replace(bed, rules={**bed.rules, **rules})
     for name in names:
-        one_of("condition", name, bed.conditions)
+        one_of("a condition", name, bed.conditions)
     return bed, bed.printed_conditions if conditions is None else names, rules
 
 
@@ -389,7 +372,7 @@ def _designed(
         return design
     k = len(labels_of("conditions", conditions, 2))
     n = participants_needed(k, printed_n) if n is None else whole_number("n", n, least=max(3, k))
-    if k % 2 == 0 or n % (2 * k) != k:
+    if n % participants_needed(k) != k or k % 2 == 0:
         return latin_square_design(conditions, n, seed=seed, whole_squares=False)
     # The first k orders of a square for odd k are a Latin square by themselves: every condition
     # once at every position.
@@ -434,23 +417,13 @@ def _study_folder(out: str | os.PathLike) -> Path:
 
 
 def _finish(folder: Path, study: VirtualStudy) -> None:
-    """Check that every session is there, and write the tables beside them."""
-    orders = study.design.orders()
-    rows = orders[~orders["participant"].isin(study.failures["participant"])]
-    names = [session_file(*row) for row in rows.itertuples(index=False)]
-    missing = [name for name in names if not (folder / "sessions" / name).is_file()]
-    if missing:
-        raise ValueError(
-            f"{len(missing)} of {len(names)} sessions are missing from {folder / 'sessions'} "
-            f"({missing[0]} first), although the campaign beside it says that they were run; "
-            "remove the folder and run the study again"
-        )
+    """Write the tables of a study beside its sessions."""
     about = (
         f"SIMULATED. {study.title}: {study.message}\nOne file per session in sessions/: "
         "trustlab.read_sessions reads them.\n"
     )
     study.participants.to_csv(folder / "participants.csv", index=False)
-    orders.to_csv(folder / "orders.csv", index=False)
+    study.design.orders().to_csv(folder / "orders.csv", index=False)
     study.measures.to_csv(folder / "measures.csv", index=False)
     (folder / "about.txt").write_text(about, encoding="utf-8")
 

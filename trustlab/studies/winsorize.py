@@ -5,25 +5,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from scipy import stats
 
-from trustlab.models.checks import one_of, positive
+from trustlab.models.checks import of_class, one_of, positive
 from trustlab.models.display import Result
-from trustlab.studies.table import numbers_of, read_scores
+from trustlab.studies.table import column_of, label_column, levels_of, numbers_of
 
 # Which values count as outlying, by the name of the rule and its k.
 OUTLIER_RULES = {
     "sd": "values outside mean ± {k:g} standard deviations",
     "mad": "values outside median ± {k:g} scaled median absolute deviations",
     "iqr": "values outside the quartiles ± {k:g} interquartile ranges",
-    "quantile": "values outside the quantiles {k:g} and {rest:g}",
-    "extremes": "the {k:g} lowest and {k:g} highest values",
 }
 
 _TARGETS = {"limit": "set to that limit", "next": "set to the next most extreme value"}
-
-# 1/Φ⁻¹(3/4): times the median absolute deviation it estimates the standard deviation of normal
-# values.
-_MAD_TO_SD = 1.482602218505602
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,18 +72,13 @@ class Winsorized(Result):
 
 
 def _limits(x: np.ndarray, outside: str, k: float) -> np.ndarray:
-    """Return the two limits beyond which values are outlying."""
-    if outside == "extremes":
-        return np.sort(x)[[int(k), -1 - int(k)]]
-    if outside == "quantile":
-        return np.quantile(x, [k, 1.0 - k])
+    """Return the two limits beyond which values are outlying; NaN where most are equal."""
     centre, spread = x.mean(), x.std(ddof=1)
     if outside == "iqr":
         centre = np.quantile(x, [0.25, 0.75])
         spread = np.ptp(centre)
     elif outside == "mad":
-        centre = np.median(x)
-        spread = _MAD_TO_SD * np.median(np.abs(x - centre))
+        centre, spread = np.median(x), stats.median_abs_deviation(x, scale="normal")
     if spread == 0.0 and np.ptp(x) > 0.0:
         spread = np.nan
     return centre + k * spread * np.array([-1.0, 1.0])
@@ -116,10 +106,10 @@ def winsorize(
         A long table with a row per subject and condition. Missing cells stay missing.
     dv, within, subject : hashable
         Columns with the score, the condition and the subject.
-    outside : {"sd", "mad", "iqr", "quantile", "extremes"}
+    outside : {"sd", "mad", "iqr"}
         Which values count as outlying: beyond k standard deviations from the mean, k scaled median
-        absolute deviations from the median, k interquartile ranges from the quartiles, the
-        quantiles k and 1 − k, or the k most extreme values at each end.
+        absolute deviations from the median, or k interquartile ranges from the quartiles.
+        (`scipy.stats.mstats.winsorize` sets the k most extreme values at each end.)
     k : float
         The rule's number.
     to : {"limit", "next"}
@@ -133,8 +123,8 @@ def winsorize(
     Raises
     ------
     ValueError
-        If the table is refused (see `repeated_measures`), a rule is unknown or
-        cannot apply to so few or so many equal values.
+        If a column is unknown, a label is missing, a score is not a finite number, or a rule is
+        unknown or cannot apply to so few or so many equal values.
 
     Examples
     --------
@@ -151,37 +141,33 @@ def winsorize(
     one_of("outside", outside, OUTLIER_RULES)
     one_of("to", to, _TARGETS)
     k = positive("k", k)
-    if (outside == "quantile" and k >= 0.5) or (outside == "extremes" and (k % 1 or to != "next")):
-        raise ValueError(
-            f'k = {k:g}, to = {to!r}: outside="quantile" needs a k below 0.5, outside="extremes" a '
-            'whole k and to="next"'
-        )
-    levels = read_scores(data, dv, within, subject).conditions
-    subjects, scores = data[subject].to_numpy(), numbers_of(data[dv], "dv")
+    of_class("data", data, pd.DataFrame, "with a row per subject and condition")
+    people = label_column(data, "subject", subject)
+    scores = numbers_of(column_of(data, "dv", dv), "dv")
+    levels = levels_of(label_column(data, "within", within), "within")
+    if not levels:
+        raise ValueError("data has no rows")
     changes, limits = [], []
     for condition in levels:
         rows = np.flatnonzero((data[within] == condition) & np.isfinite(scores))
         old = scores[rows]
-        if old.size < 3 or (outside == "extremes" and 2 * k >= old.size):
-            raise ValueError(f"dv: {old.size} values of {condition!r} are too few for this rule")
-        low, high = _limits(old, outside, k).tolist()
+        low, high = _limits(old, outside, k) if old.size > 2 else (np.nan, np.nan)
         inside = old[(old >= low) & (old <= high)]
         if not inside.size:
             raise ValueError(
-                f"dv: by this rule no value of {condition!r} lies inside {low:g} to {high:g}; so "
-                "many are equal that their spread is 0, or k does not fit"
+                f"dv: by this rule no value of {condition!r} lies inside {low:g} to {high:g}: its "
+                f"{old.size} values are too few, or so many are equal that their spread is 0"
             )
         new = np.clip(old, *((low, high) if to == "limit" else (inside.min(), inside.max())))
-        moved = np.flatnonzero(new != old)
-        changes += [(subjects[rows[i]], condition, old[i], new[i]) for i in moved]
-        limits.append((condition, old.size, low, high, moved.size))
+        moves = {"subject": people.iloc[rows], "condition": condition, "old": old, "new": new}
+        changes.append(pd.DataFrame(moves).query("old != new"))
+        limits.append((condition, old.size, low, high, len(changes[-1])))
         scores[rows] = new
     result = data.copy()
     result[dv] = scores
-    moves = pd.DataFrame(changes, columns=["subject", "condition", "old", "new"])
     return Winsorized(
         data=result,
-        changes=moves.astype({"old": float, "new": float}),
+        changes=pd.concat(changes, ignore_index=True),
         limits=pd.DataFrame(limits, columns=["condition", "n", "low", "high", "changed"]),
-        rule=f"{OUTLIER_RULES[outside].format(k=k, rest=1.0 - k)} by condition, {_TARGETS[to]}",
+        rule=f"{OUTLIER_RULES[outside].format(k=k)} by condition, {_TARGETS[to]}",
     )

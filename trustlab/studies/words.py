@@ -91,25 +91,21 @@ def apa_p(p: float) -> str:
     return "p > .999" if p >= 0.9995 else f"p = {apa_number(p, 3, below_one=True)}"
 
 
-def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
+def apa_table(frame: pd.DataFrame) -> pd.DataFrame:
     """
     Return a table for reading: numbers rounded, p-values as a paper prints them, NaN as empty text.
 
     Parameters
     ----------
     frame : pandas.DataFrame
-        Results; columns p, ``p_…`` and ``mauchly_p…`` hold p-values. Columns of labels (a, b,
-        level, condition, and those that ``attrs["labels"]`` names) stay as they are.
-    digits : int
-        Least number of decimals. Estimates have as many as show two digits of their standard error,
+        Results; columns p, ``p_…`` and ``mauchly_p…`` hold p-values. What is no column of floats,
+        such as levels, stays as it is.
+        Estimates have as many decimals, at least two, as show two digits of their standard error,
         or else of the interval's half width or the standard deviation; other columns as many as
         show two digits of a typical number.
     """
-    labels = {"a", "b", "level", "condition", *frame.attrs.get("labels", ())}
     table = frame.copy()
     for name in frame.select_dtypes("float").columns:
-        if name in labels:
-            continue
         values = frame[name].to_numpy()
         if str(name).startswith(("p_", "mauchly_p")) or name == "p":
             texts = [apa_p(value).removeprefix("p ").removeprefix("= ") for value in values]
@@ -119,7 +115,7 @@ def apa_table(frame: pd.DataFrame, digits: int = 2) -> pd.DataFrame:
             texts = [df_text(value) for value in values]
         else:
             sizes = _errors(frame) if name in _ESTIMATES else [values]
-            decimals = [decimals_of(size, 2, digits) for size in sizes]
+            decimals = [decimals_of(size, 2, 2) for size in sizes]
             texts = list(map(apa_number, values, np.resize(decimals, len(values)).tolist()))
         table[name] = np.where(np.isnan(values), "", texts)
     return table

@@ -1,4 +1,4 @@
-# Reference values of tests/studies/test_factorial.py: published data sets, analysed by afex (aov_car: car's Anova,
+# Reference values of tests/studies/analysis/test_factorial.py: published data sets, analysed by afex (aov_car: car's Anova,
 # type III) and emmeans. Run in this folder: Rscript factorial.R    (afex, emmeans, jsonlite, nlme; writes factorial.json)
 suppressPackageStartupMessages({
   library(afex)
@@ -32,6 +32,8 @@ sets <- list(
     list(data = obk.long, id = "id", dv = "value", within = c("phase", "hour"), between = "treatment"),
   "O'Brien and Kaiser (1985), two group factors: afex::obk.long" =
     list(data = obk.long, id = "id", dv = "value", within = c("phase", "hour"), between = c("treatment", "gender")),
+  "O'Brien and Kaiser (1985), with age: afex::obk.long" =
+    list(data = obk.long, id = "id", dv = "value", within = c("phase", "hour"), between = "treatment", covariate = "age"),
   "Fox and Weisberg (2019), weight loss: carData::WeightLoss" =
     list(data = weight, id = "id", dv = "wl", within = "month", between = "group"),
   "Fox and Weisberg (2019), self esteem: carData::WeightLoss" =
@@ -63,7 +65,12 @@ sets <- list(
 analyse <- function(set) {
   data <- set$data
   for (name in c(set$id, set$within, set$between)) data[[name]] <- factor(as.character(data[[name]]))
-  left <- if (length(set$between)) paste(set$between, collapse = "*") else "1"
+  covariate <- set$covariate
+  if (!is.null(covariate)) {
+    data$centred <- data[[covariate]] - mean(tapply(data[[covariate]], data[[set$id]], mean))
+  }
+  sides <- c(if (length(set$between)) paste(set$between, collapse = "*"), if (!is.null(covariate)) "centred")
+  left <- if (length(sides)) paste(sides, collapse = " + ") else "1"
   formula <- as.formula(sprintf("%s ~ %s + Error(%s/(%s))", set$dv, left, set$id, paste(set$within, collapse = "*")))
   fit <- suppressMessages(suppressWarnings(
     aov_car(formula, data, anova_table = list(correction = "none", es = c("ges", "pes")), factorize = FALSE, include_aov = FALSE)
@@ -75,7 +82,7 @@ analyse <- function(set) {
   univariate <- own$univariate.tests
   pick <- function(x, row, column) if (!is.null(x) && row %in% rownames(x)) x[row, column] else NA
   effects <- lapply(rownames(table), function(row) list(
-    effect = row, F = table[row, "F"], df1 = table[row, "num Df"], df2 = table[row, "den Df"],
+    effect = gsub("centred", covariate %||% "", row), F = table[row, "F"], df1 = table[row, "num Df"], df2 = table[row, "den Df"],
     p = table[row, "Pr(>F)"], eta2_generalized = table[row, "ges"], eta2_partial = table[row, "pes"],
     ss_effect = univariate[row, "Sum Sq"], ss_error = univariate[row, "Error SS"],
     mauchly_w = pick(tests, row, "Test statistic"), mauchly_p = pick(tests, row, "p-value"),
@@ -94,15 +101,16 @@ analyse <- function(set) {
   }
   factors <- c(set$within, set$between)
   compared <- list()
-  if (length(factors) >= 2) {
+  if (is.null(covariate) && length(factors) >= 2) {
     compared <- list(pairs_of(factors[1], NA), pairs_of(factors[length(factors)], NA), pairs_of(factors[1], factors[2]))
     if (length(set$between)) compared <- c(compared, list(pairs_of(set$between[1], set$within[1])))
   }
   list(
-    columns = data[c(set$id, set$dv, set$within, set$between)], id = set$id, dv = set$dv, within = I(set$within),
-    between = I(set$between), effects = effects, pairs = compared
+    columns = data[c(set$id, set$dv, set$within, set$between, covariate)], id = set$id, dv = set$dv, within = I(set$within),
+    between = I(set$between), covariate = covariate %||% NA, effects = effects, pairs = compared
   )
 }
+`%||%` <- function(a, b) if (is.null(a)) b else a
 
 versions <- sapply(c("afex", "car", "emmeans", "nlme", "carData"), function(x) as.character(packageVersion(x)))
 out <- list(r = R.version.string, packages = as.list(versions), sets = lapply(sets, analyse))
