@@ -83,7 +83,7 @@ def test_block_means_are_those_of_the_models():
             odds, above = theta[kernel.R0 + 2 * i], theta[kernel.P_R0 + 2 * i]
             r0 = 1.0 / (1.0 + np.exp(-odds))
             sampled = tsc.simulate(run["mode"], r0, theta[kernel.P_MIN] + above)
-            blocks = slice(*target.blocks.first[i : i + 2])
+            blocks = slice(*target.blocks.first_block[i : i + 2])
             for j, name in enumerate(("p_h", "p_r")):
                 count = run.size // 10
                 expected = sampled[name].to_numpy()[: 10 * count].reshape(count, 10).mean(axis=1)

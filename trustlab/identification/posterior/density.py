@@ -4,9 +4,9 @@ The density of the posterior of robot and operator, (2.3), (2.5) and (2.6): prio
 Each parameter is normal a priori in the coordinate in which it is unbounded: the logarithm of a
 time or a range, the log odds of a share. θ holds these coordinates.
 
-A log is cut into blocks of at most a second, short beside every time constant: to first order in
-their length (2.5) and (2.3) depend on two means of the mode within a block, and (2.6) is taken at
-the block's mean utilization. The noise of each output is a first-order process plus white noise at the log's
+A log is cut into blocks of at most a second, and these into stretches of constant mode. Over a
+stretch (2.5) and (2.3) have closed forms; (2.6) is taken at the stretch's mean utilization, which
+moves by less than a hundredth within a second. The noise of each output is a first-order process plus white noise at the log's
 own samples; a Kalman filter gives the exact density of its block means.
 
 Points that are proposed have other coordinates still: the mean of P_h over the log and the
@@ -294,17 +294,19 @@ class Blocks(NamedTuple):
     """
     Runs as the likelihood reads them.
 
-    Block means of P_h and P_r, shape (2, blocks), and which are known; means of the mode, and such
-    in which a sample counts by how many follow it in the block, which are those that it moves;
-    where each run begins and the last ends, and the window of each one's means in samples, 1 for
-    none; sample time [s]; samples per block.
+    Block means of P_h and P_r, shape (2, blocks), and which are known; per stretch of constant mode
+    within a block its samples, mode and block; where each run begins and the last ends, in
+    stretches and in blocks, and the window of its means in samples, 1 for none; sample time [s];
+    samples per block.
     """
 
     measured: np.ndarray
     known: np.ndarray
-    mode: np.ndarray
-    early: np.ndarray
-    first: np.ndarray
+    lengths: np.ndarray
+    modes: np.ndarray
+    block: np.ndarray
+    first_stretch: np.ndarray
+    first_block: np.ndarray
     windows: np.ndarray
     step: float
     samples: int
@@ -322,17 +324,22 @@ def blocks_of(problem: Problem) -> Blocks:
                 f"constants of tens of seconds; record at least {FEWEST * samples * step:g} s"
             )
 
-    def in_blocks(columns: Iterable[np.ndarray], weights: Any = None) -> np.ndarray:
-        rows = np.concatenate([in_rows(values, samples) for values in columns])
-        return np.average(rows, axis=1, weights=weights)
+    def in_blocks(columns: Iterable[np.ndarray]) -> np.ndarray:
+        return np.concatenate([in_rows(values, samples) for values in columns])
 
     by_output = problem.by_output()
+    mode = in_blocks(run["mode"] for run in runs)
+    first_block = np.cumsum([0, *(run.size // samples for run in runs)])
+    # A stretch begins with every block and change of mode within one.
+    starts = np.flatnonzero(np.diff(mode, axis=1, prepend=np.nan) != 0.0)
     return Blocks(
-        measured=np.array([in_blocks(s.measured for s in of) for of in by_output]),
-        known=np.array([in_blocks(s.known for s in of) == 1.0 for of in by_output]),
-        mode=in_blocks(run["mode"] for run in runs),
-        early=in_blocks((run["mode"] for run in runs), np.arange(samples)[::-1] + 1e-9),
-        first=np.cumsum([0, *(run.size // samples for run in runs)]),
+        measured=np.array([in_blocks(s.measured for s in of).mean(axis=1) for of in by_output]),
+        known=np.array([in_blocks(s.known for s in of).all(axis=1) for of in by_output]),
+        lengths=np.diff(starts, append=mode.size),
+        modes=mode.ravel()[starts],
+        block=starts // samples,
+        first_stretch=np.searchsorted(starts, samples * first_block),
+        first_block=first_block,
         windows=np.array([1 if problem.unwindow else run.window for run in runs]),
         step=step,
         samples=samples,
@@ -340,56 +347,61 @@ def blocks_of(problem: Problem) -> Blocks:
 
 
 @njit
-def relaxation(tau, blocks):
-    """Return which share of a distance is left after a block, and which over it on average."""
-    left = np.exp(-blocks.step * blocks.samples / tau)
-    return left, (1.0 - left) / (-np.expm1(-blocks.step / tau) * blocks.samples)
+def relaxation(tau, length, step):
+    """Return which share of a distance is left after so many samples, and on average over them."""
+    left = np.exp(-step * length / tau)
+    return left, (1.0 - left) / (-np.expm1(-step / tau) * length)
 
 
 @njit
-def utilize(theta, blocks, shape):
-    """Write (2.6) between 0 and 1; return its mean and spread."""
-    left, share = relaxation(np.exp(theta[TAU_R]), blocks)
+def utilize(theta, blocks, shape, means):
+    """Write (2.6) between 0 and 1, by stretch and as block means; return mean and spread."""
+    tau = np.exp(theta[TAU_R])
     beta = 1.0 / (1.0 + np.exp(-theta[BETA]))
-    total = 0.0
-    squares = 0.0
+    means[:] = 0.0
     for run in range(blocks.windows.size):
         r = 1.0 / (1.0 + np.exp(-theta[R0 + PER_RUN * run]))
-        for k in range(blocks.first[run], blocks.first[run + 1]):
-            # (2.5) over the block, r tending to M: its mean and its end.
-            early, mode = blocks.early[k], blocks.mode[k]
-            shape[k] = yerkes_dodson(early + (r - early) * share, beta)
+        for s in range(blocks.first_stretch[run], blocks.first_stretch[run + 1]):
+            # (2.5) over the stretch: r(k) = M + (r − M) aᵏ, and its mean.
+            mode, length = blocks.modes[s], blocks.lengths[s]
+            left, share = relaxation(tau, length, blocks.step)
+            shape[s] = yerkes_dodson(mode + (r - mode) * share, beta)
+            means[blocks.block[s]] += shape[s] * length / blocks.samples
             r = mode + (r - mode) * left
-            total += shape[k]
-            squares += shape[k] * shape[k]
-    mean = total / shape.size
-    return mean, np.sqrt(max(squares / shape.size - mean * mean, 1e-10))
+    mean = 0.0
+    square = 0.0
+    for value in means:
+        mean += value / means.size
+        square += value * value / means.size
+    return mean, np.sqrt(max(square - mean * mean, 1e-10))
 
 
 @njit
-def perform(theta, blocks, means):
-    """Turn the shape of (2.6), in means[0], into block means of P_h and P_r, (2.3)."""
+def perform(theta, blocks, shape, means):
+    """Turn the shape of (2.6), block means in means[0], into block means of P_h and P_r, (2.3)."""
     low = theta[H_MIN]
     span = np.exp(theta[H_SPAN])
     p_min = theta[P_MIN]
     gain = np.exp(theta[P_SPAN]) / (low + span)
-    left, share = relaxation(np.exp(theta[TAU_P]), blocks)
+    tau = np.exp(theta[TAU_P])
+    means[0] = low + span * means[0]
+    means[1] = 0.0
     for run in range(blocks.windows.size):
         p_r = p_min + theta[P_R0 + PER_RUN * run]
-        for k in range(blocks.first[run], blocks.first[run + 1]):
-            means[0, k] = low + span * means[0, k]
+        for s in range(blocks.first_stretch[run], blocks.first_stretch[run + 1]):
             # (2.3) tends to P_min + M gain P_h, gain = (P_max − P_min)/P_h,max.
-            early = p_min + blocks.early[k] * gain * means[0, k]
-            goal = p_min + blocks.mode[k] * gain * means[0, k]
-            means[1, k] = early + (p_r - early) * share
+            goal = p_min + blocks.modes[s] * gain * (low + span * shape[s])
+            left, share = relaxation(tau, blocks.lengths[s], blocks.step)
+            mean = goal + (p_r - goal) * share
+            means[1, blocks.block[s]] += mean * blocks.lengths[s] / blocks.samples
             p_r = goal + (p_r - goal) * left
 
 
 def simulate(theta: np.ndarray, blocks: Blocks) -> np.ndarray:
     """Return block means of P_h and P_r, shape (2, blocks)."""
-    means = np.empty(blocks.measured.shape)
-    utilize(theta, blocks, means[0])
-    perform(theta, blocks, means)
+    shape, means = np.empty(blocks.lengths.size), np.empty(blocks.measured.shape)
+    utilize(theta, blocks, shape, means[0])
+    perform(theta, blocks, shape, means)
     return means
 
 
@@ -444,8 +456,8 @@ def innovations(theta, blocks, means, scaled):
             blocks.samples,
         )
         for run in range(blocks.windows.size):
-            first = blocks.first[run]
-            last = blocks.first[run + 1]
+            first = blocks.first_block[run]
+            last = blocks.first_block[run + 1]
             expected = means[j, first:last]
             if late != 0.0 or blocks.windows[run] > 1:
                 expected = logged(expected, late, blocks.windows[run], blocks.samples)
@@ -462,14 +474,15 @@ def innovations(theta, blocks, means, scaled):
 def likelihoods(thetas, blocks):
     """Return the log-likelihood of rows of θ whose P_h is centred; write P_h,min and its range."""
     values = np.empty(len(thetas))
+    shape = np.empty(blocks.lengths.size)
     means = np.empty(blocks.measured.shape)
     scaled = np.empty(blocks.measured.shape)
     for i in range(len(thetas)):
         theta = thetas[i]
-        mean, spread = utilize(theta, blocks, means[0])
+        mean, spread = utilize(theta, blocks, shape, means[0])
         theta[H_SPAN] -= np.log(spread)
         theta[H_MIN] -= np.exp(theta[H_SPAN]) * mean
-        perform(theta, blocks, means)
+        perform(theta, blocks, shape, means)
         values[i] = innovations(theta, blocks, means, scaled)
     return values
 

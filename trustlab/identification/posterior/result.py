@@ -213,8 +213,8 @@ class Posterior(Result):
             panel.set(xlabel=WORDS[name], yticks=[])
         panels[0].legend(fontsize="small")
         blocks = self.target.blocks
-        first_run = slice(blocks.first[1])
-        t = (np.arange(blocks.first[1]) + 0.5) * blocks.step * blocks.samples
+        first_run = slice(blocks.first_block[1])
+        t = (np.arange(blocks.first_block[1]) + 0.5) * blocks.step * blocks.samples
         curves = [simulate(theta, blocks)[:, first_run] for theta in self.thetas[:200]]
         bands = np.quantile(curves, [0.025, 0.5, 0.975], axis=0)
         for j, (panel, label) in enumerate([(human, "$P_h$"), (robot, "$P_r$")]):

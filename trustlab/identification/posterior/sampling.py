@@ -517,7 +517,7 @@ def _whiteness(theta: np.ndarray, target: Target) -> dict[str, float]:
     blocks = target.blocks
     scaled = np.empty(blocks.measured.shape)
     innovations(theta, blocks, simulate(theta, blocks), scaled)
-    runs = [slice(*ends) for ends in itertools.pairwise(blocks.first)]
+    runs = [slice(*ends) for ends in itertools.pairwise(blocks.first_block)]
     return {
         name: whiteness_p([errors[run][known[run]] for run in runs])
         for name, errors, known in zip(OUTPUTS, scaled, blocks.known, strict=True)
