@@ -233,8 +233,10 @@ def test_points_of_all_rounds_count_by_the_mixture_of_their_proposals():
         [Component(8000.0, np.zeros(3), 1.3 * truth.cov)],
     ]
     points = np.concatenate([drawn(parts, int(parts[0].weight), rng) for parts in rounds])
-    log_weights = 7.0 + truth.logpdf(points) - special.logsumexp(
-        log_parts(points, rounds[0] + rounds[1]), axis=1
+    log_weights = (
+        7.0
+        + truth.logpdf(points)
+        - special.logsumexp(log_parts(points, rounds[0] + rounds[1]), axis=1)
     )
     sample = weighed(points, log_weights)
     assert sample.k_hat < 0.5

@@ -6,8 +6,9 @@ time or a range, the log odds of a share. θ holds these coordinates.
 
 A log is cut into blocks of at most a second, and these into stretches of constant mode. Over a
 stretch (2.5) and (2.3) have closed forms; (2.6) is taken at the stretch's mean utilization, which
-moves by less than a hundredth within a second. The noise of each output is a first-order process plus white noise at the log's
-own samples; a Kalman filter gives the exact density of its block means.
+moves by less than a hundredth within a second. The noise of each output is a first-order process
+plus white noise at the log's own samples; a Kalman filter gives the exact density of its block
+means.
 
 Points that are proposed have other coordinates still: the mean of P_h over the log and the
 logarithm of its spread replace P_h,min and the logarithm of its range: in these the data leave a
@@ -493,8 +494,8 @@ def likelihoods(thetas, blocks):
 FAR = 12.0
 FAR_ODDS = 14.0
 
-# The places of slow noise and of its time constant.
-SLOW, SLOW_TIME = ([at[part] for at in NOISES] for part in (1, 2))
+# The places of both outputs' white noise, slow noise and its time constant.
+WHITE, SLOW, SLOW_TIME = map(list, zip(*NOISES, strict=True))
 
 
 class Target(NamedTuple):

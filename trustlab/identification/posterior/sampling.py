@@ -30,7 +30,6 @@ from trustlab.identification.posterior.density import (
     H_MIN,
     H_SPAN,
     LEAST,
-    NOISES,
     ODDS,
     OUTPUTS,
     P_MIN,
@@ -39,6 +38,8 @@ from trustlab.identification.posterior.density import (
     PER_RUN,
     R0,
     SHARED,
+    SLOW,
+    WHITE,
     Prior,
     Target,
     admissible,
@@ -70,15 +71,18 @@ BULK = 2.4
 def starting_points(target: Target, optima: list[Optimum]) -> list[np.ndarray]:
     """Return points of the optima of a fit, drawn to the prior, and of its mean; the best first."""
     mean, blocks = target.mean, target.blocks
-    reach = BULK * target.deviation
+    bulk = mean - BULK * target.deviation, mean + BULK * target.deviation
     points = []
     for theta in (*(_theta(optimum, target) for optimum in optima), mean):
-        theta = _with_noise(np.clip(theta, mean - reach, mean + reach), target)
+        theta = np.clip(theta, *bulk)
+        errors = np.where(blocks.known, blocks.measured - simulate(theta, blocks), 0.0)
+        spread = np.sqrt(np.mean(errors**2, axis=1)) + 1e-7
+        theta[WHITE], theta[SLOW] = np.log(spread * np.sqrt(blocks.samples)), np.log(spread)
         # To a thousandth of a prior deviation: the same place on every processor.
-        points.append(np.round(point_of(np.clip(theta, mean - reach, mean + reach), target), 3))
+        points.append(np.round(point_of(np.clip(theta, *bulk), target), 3))
     measured = np.average(blocks.measured, axis=1, weights=blocks.known)
     low, span = [H_MIN, P_MIN], [H_SPAN, P_SPAN]
-    ranges = FAR * target.deviation[low] + np.exp(mean[span] + reach[span])
+    ranges = FAR * target.deviation[low] + np.exp(bulk[1][span])
     values = densities(np.array(points), target)
     if values.max() == -np.inf or (np.abs(measured - mean[low]) > ranges).any():
         raise IdentificationError(
@@ -96,19 +100,6 @@ def _theta(optimum: Optimum, target: Target) -> np.ndarray:
     theta[:SHARED] = coordinates_of(values, target.blocks.step)
     theta[R0::PER_RUN] = ODDS.to(np.clip(values["r0"], LEAST, 1.0 - LEAST))
     theta[P_R0::PER_RUN] = values["p_r0"] - values["robot_p_min"]
-    return theta
-
-
-def _with_noise(theta: np.ndarray, target: Target) -> np.ndarray:
-    """Return θ with noise by the spread of the residuals and their correlation at lag 1."""
-    blocks = target.blocks
-    errors = np.where(blocks.known, blocks.measured - simulate(theta, blocks), 0.0)
-    spread = np.sqrt(np.mean(errors**2, axis=1)) + 1e-7
-    rho = np.mean(errors[:, 1:] * errors[:, :-1], axis=1) / spread**2
-    rho = np.clip(rho, 0.02, 0.99)
-    white = spread * np.sqrt(blocks.samples * (1.0 - 0.9 * rho))
-    seconds = -blocks.step * blocks.samples / np.log(np.maximum(rho, 0.5))
-    theta[np.array(NOISES).T] = np.log([white, spread * rho, seconds])
     return theta
 
 
