@@ -336,25 +336,22 @@ def fit_population(
 
 def _pooled(posteriors: list[Posterior], prior: Prior, rng: np.random.Generator) -> Pool:
     """Return draws of the population; each person's own prior is divided out."""
-    centre, deviation, _ = prior.vectors(0)
-    draws = []
-    base = []
+    centre, deviation = np.array(prior.vectors(0)[:2])[:, :SHARED]
+    draws, base = [], []
     for posterior in posteriors:
-        target = posterior.target
-        thetas = posterior.thetas[:, :SHARED]
+        target, thetas = posterior.target, posterior.thetas[:, :SHARED]
         whitened = (thetas - target.mean[:SHARED]) @ target.whitening[:SHARED, :SHARED].T
-        draws.append((thetas - centre[:SHARED]) / deviation[:SHARED])
+        draws.append((thetas - centre) / deviation)
         base.append(0.5 * (whitened**2).sum(axis=1))
     return pool(draws, base, rng)
 
 
 def _new_people(pooled: Pool, prior: Prior, rng: np.random.Generator) -> np.ndarray:
     """Return a person of each draw of the population, θ of those who make a model."""
-    centre, deviation, _ = prior.vectors(0)
-    roots = np.linalg.cholesky(pooled.covariances)
+    centre, deviation = np.array(prior.vectors(0)[:2])[:, :SHARED]
     normal = rng.standard_normal(pooled.means.shape)
-    z = pooled.means + np.einsum("sij,sj->si", roots, normal)
-    thetas = centre[:SHARED] + deviation[:SHARED] * z
+    z = pooled.means + np.einsum("sij,sj->si", np.linalg.cholesky(pooled.covariances), normal)
+    thetas = centre + deviation * z
     return thetas[admissible(thetas)]
 
 

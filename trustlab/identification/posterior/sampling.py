@@ -105,10 +105,8 @@ def _theta(optimum: Optimum, target: Target) -> np.ndarray:
 
 # --- ascents --------------------------------------------------------------------------------------
 
-# Least curvature that a proposal goes by, nothing being wider than two prior deviations, and that
-# an ascent begins with.
+# Least curvature that ascents and proposals go by: nothing is wider than two prior deviations.
 LEAST_CURVATURE = 0.25
-STEEP = 0.3
 
 # Slope per prior deviation at which an ascent ends, and minus the density where it is zero.
 CLOSE = 1e-2
@@ -127,10 +125,10 @@ class Top(NamedTuple):
     covariance: np.ndarray
 
 
-def hill(x: np.ndarray, target: Target, least: float) -> np.ndarray:
-    """Return the inverse of the curvature's size, which is at least `least` in any direction."""
+def hill(x: np.ndarray, target: Target) -> np.ndarray:
+    """Return the inverse of the curvature's size, which has a least value in any direction."""
     values, vectors = np.linalg.eigh(curvature(x, target))
-    root = vectors / np.sqrt(np.maximum(np.abs(values), least))
+    root = vectors / np.sqrt(np.maximum(np.abs(values), LEAST_CURVATURE))
     return root @ root.T
 
 
@@ -143,15 +141,15 @@ def climb(x: np.ndarray, target: Target) -> Top:
         x,
         jac=lambda x: -gradients(x[None], target)[0],
         method="BFGS",
-        options={"gtol": CLOSE, "maxiter": 100, "hess_inv0": hill(x, target, STEEP)},
+        options={"gtol": CLOSE, "maxiter": 100, "hess_inv0": hill(x, target)},
     )
-    step = hill(end.x, target, LEAST_CURVATURE) @ gradients(end.x[None], target)[0]
+    step = hill(end.x, target) @ gradients(end.x[None], target)[0]
     # After Newton's step, and rounded, it is the same point on every processor. Where an ascent
     # stopped short, the step may lead to where there is no model.
     points = np.array([*np.round([end.x + step, end.x], 4), x])
     values = densities(points, target)
     best = int(np.argmax(values >= values[-1]))
-    return Top(points[best], float(values[best]), hill(points[best], target, LEAST_CURVATURE))
+    return Top(points[best], float(values[best]), hill(points[best], target))
 
 
 def tops_of(target: Target, optima: list[Optimum]) -> list[Top]:
