@@ -348,16 +348,21 @@ def blocks_of(problem: Problem) -> Blocks:
 
 
 @njit
-def relaxation(tau, length, step):
-    """Return which share of a distance is left after so many samples, and on average over them."""
-    left = np.exp(-step * length / tau)
-    return left, (1.0 - left) / (-np.expm1(-step / tau) * length)
+def relaxation(tau, blocks):
+    """Return by number of samples which share of a distance is left, and is there on average."""
+    left = np.empty(blocks.samples + 1)
+    share = np.empty(blocks.samples + 1)
+    loss = -np.expm1(-blocks.step / tau)
+    for length in range(1, left.size):
+        left[length] = np.exp(-blocks.step * length / tau)
+        share[length] = (1.0 - left[length]) / (loss * length)
+    return left, share
 
 
 @njit
 def utilize(theta, blocks, shape, means):
     """Write (2.6) between 0 and 1, by stretch and as block means; return mean and spread."""
-    tau = np.exp(theta[TAU_R])
+    left, share = relaxation(np.exp(theta[TAU_R]), blocks)
     beta = 1.0 / (1.0 + np.exp(-theta[BETA]))
     means[:] = 0.0
     for run in range(blocks.windows.size):
@@ -365,10 +370,9 @@ def utilize(theta, blocks, shape, means):
         for s in range(blocks.first_stretch[run], blocks.first_stretch[run + 1]):
             # (2.5) over the stretch: r(k) = M + (r − M) aᵏ, and its mean.
             mode, length = blocks.modes[s], blocks.lengths[s]
-            left, share = relaxation(tau, length, blocks.step)
-            shape[s] = yerkes_dodson(mode + (r - mode) * share, beta)
+            shape[s] = yerkes_dodson(mode + (r - mode) * share[length], beta)
             means[blocks.block[s]] += shape[s] * length / blocks.samples
-            r = mode + (r - mode) * left
+            r = mode + (r - mode) * left[length]
     mean = 0.0
     square = 0.0
     for value in means:
@@ -384,7 +388,7 @@ def perform(theta, blocks, shape, means):
     span = np.exp(theta[H_SPAN])
     p_min = theta[P_MIN]
     gain = np.exp(theta[P_SPAN]) / (low + span)
-    tau = np.exp(theta[TAU_P])
+    left, share = relaxation(np.exp(theta[TAU_P]), blocks)
     means[0] = low + span * means[0]
     means[1] = 0.0
     for run in range(blocks.windows.size):
@@ -392,10 +396,10 @@ def perform(theta, blocks, shape, means):
         for s in range(blocks.first_stretch[run], blocks.first_stretch[run + 1]):
             # (2.3) tends to P_min + M gain P_h, gain = (P_max − P_min)/P_h,max.
             goal = p_min + blocks.modes[s] * gain * (low + span * shape[s])
-            left, share = relaxation(tau, blocks.lengths[s], blocks.step)
-            mean = goal + (p_r - goal) * share
-            means[1, blocks.block[s]] += mean * blocks.lengths[s] / blocks.samples
-            p_r = goal + (p_r - goal) * left
+            length = blocks.lengths[s]
+            mean = goal + (p_r - goal) * share[length]
+            means[1, blocks.block[s]] += mean * length / blocks.samples
+            p_r = goal + (p_r - goal) * left[length]
 
 
 def simulate(theta: np.ndarray, blocks: Blocks) -> np.ndarray:
