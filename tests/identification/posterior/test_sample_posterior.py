@@ -26,6 +26,7 @@ from trustlab.identification.posterior.sampling import (
     Component,
     Sample,
     Top,
+    adapted,
     drawn,
     log_parts,
     pareto_fit,
@@ -248,6 +249,12 @@ def test_points_of_all_rounds_count_by_the_mixture_of_their_proposals():
     first = points[:4000]
     alone = weighed(first, truth.logpdf(first) - log_parts(first, rounds[0])[:, 0])
     assert alone.weights @ points[:4000, 1] > 0.3
+
+
+def test_proposals_are_adapted_to_a_few_points_of_weight():
+    points = np.random.default_rng(38).standard_normal((4000, 5))
+    sample = weighed(points, np.r_[np.arange(7.0), np.full(3993, -np.inf)])
+    assert np.linalg.eigvalsh(adapted(sample).scale).min() > 0.1
 
 
 # --- what it takes and says -----------------------------------------------------------------------

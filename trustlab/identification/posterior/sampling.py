@@ -247,7 +247,7 @@ def drawn(parts: list[Component], count: int, rng: np.random.Generator) -> np.nd
 
 def adapted(sample: Sample) -> Component:
     """Return a proposal of a weighted sample's mean and covariance, a little wide."""
-    weights = sample.weights
+    weights = np.maximum(sample.weights, 1e-300)
     while 1.0 / np.sum(weights**2) < LEVEL:  # few points carry all weight: level them
         weights = weights**0.6
         weights /= weights.sum()
