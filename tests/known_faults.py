@@ -70,9 +70,6 @@ KNOWN = {
         "participants": "foreign errors",
         "pages": "foreign errors",
     },
-    "Prior": {
-        "correlation": "foreign errors",
-    },
     "PublishedStudy": {
         "conditions": "foreign errors",
         "significant_without_p": "foreign errors",

@@ -134,16 +134,10 @@ participant = { from = "participant" }"""
     assert read_frame(frame.rename(columns={"a": "p_r"}), participant=3).label == "participant 3"
 
 
-def test_an_analogue_channel_is_divided_in_two(read, recwarn):
+def test_an_analogue_channel_is_divided_in_two(read):
     text = '[columns]\nmode = { column = "pedal", above = 2.5 }'
     session = read("t,pedal\n0,0.1\n1,2.5\n2,2.6\n", text)
     assert session["mode"].tolist() == [0, 0, 1]
-    assert session.metadata.more["mode above 2.5"] == "1 of 3 samples"
-    assert not recwarn.list
-    for limit, state in ((3, 0), (0, 1)):
-        words = rf"run\.csv: column mode is {state} throughout: {limit} divides no sample"
-        with pytest.warns(UserWarning, match=words):
-            read("t,pedal\n0,0.1\n1,2.5\n2,2.6\n", text.replace("2.5", str(limit)))
 
 
 @pytest.mark.parametrize("name", ["mode", "suggested_mode", "yaw"])

@@ -67,7 +67,7 @@ def test_the_first_value_that_is_missing_or_out_of_range_is_named(value, row):
         tl.Session(frame(mode=mode), tl.Metadata(source="the log.csv"))
 
 
-def test_metadata_travels_and_can_be_added_and_removed():
+def test_metadata_travels_and_can_be_added():
     facts = tl.Metadata(participant=3, condition="C1", synthetic=True, more={"trial": 2})
     session = tl.Session(frame(), facts)
     assert session.label == "operator 3, C1, trial 2, synthetic"
@@ -80,7 +80,6 @@ def test_metadata_travels_and_can_be_added_and_removed():
     assert pickle.loads(pickle.dumps(changed)) == changed
     assert changed != session
     assert changed.with_metadata(source="elsewhere") == changed
-    assert changed.without_metadata("block", "none") == session.with_metadata(condition=0.4)
     assert tl.Session(frame()).label == "session"
 
 

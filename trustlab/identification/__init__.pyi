@@ -1,8 +1,8 @@
 from .fit import fit as fit
 from .log import LogSettings as LogSettings
 from .model import IdentificationError as IdentificationError, Model as Model
+from .posterior.density import Prior as Prior
 from .posterior.population import Population as Population, fit_population as fit_population
-from .posterior.priors import Prior as Prior
 from .posterior.result import Posterior as Posterior
 from .posterior.sampling import sample_posterior as sample_posterior
 from .regression import ArxResult as ArxResult, arx as arx

@@ -11,7 +11,7 @@ from .reading import (
     read_session as read_session,
     read_sessions as read_sessions,
 )
-from .recipe import Recipe as Recipe, list_recipes as list_recipes, load_recipe as load_recipe
+from .recipe import Recipe as Recipe, load_recipe as load_recipe
 from .session import Metadata as Metadata, Session as Session
 from .vocabulary import vocabulary as vocabulary
 from .writing import write_session as write_session

@@ -17,7 +17,7 @@ from trustlab.sessions.columns import Table, stream_of
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, damage_named
 from trustlab.sessions.patterns import Selector
 from trustlab.sessions.recipe import ColumnRule, Recipe
-from trustlab.sessions.resampling import MAX_SAMPLES, RawLog
+from trustlab.sessions.resampling import RawLog
 from trustlab.sessions.session import Place, metadata_from_json
 from trustlab.sessions.tables import Chosen, positions
 
@@ -41,7 +41,6 @@ def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> RawLog:
         raise SessionError("none of the columns to read comes from a topic; add one that does")
     samples: dict[tuple[str, str], list[tuple]] = {group: [] for group in groups}
     count: Counter[str] = Counter()
-    frames: dict[str, object] = {}
     with _open(path) as reader:
         _check_topics(reader, rules)
         for topic, row, stamp, message in _messages(reader, {topic for topic, _ in groups}):
@@ -50,7 +49,7 @@ def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> RawLog:
                 stamp = _header_stamp(message, topic)
             for (source, entry), members in groups.items():
                 if source == topic:
-                    values = [_value(message, row, rule, frames) for rule in members]
+                    values = [_value(message, row, rule) for rule in members]
                     if None not in values:
                         samples[topic, entry].append((row, stamp, *values))
     for (topic, entry), rows in samples.items():
@@ -134,8 +133,6 @@ def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, int, 
     with _guard():
         for connection in chosen:
             expected[connection.topic] += int(connection.msgcount)
-    if expected.total() > MAX_SAMPLES:
-        raise SessionError(f"the bag has more than {MAX_SAMPLES} messages on the topics read")
     for topic, stamp, message in _decoded(reader, chosen):
         # Differences of stamps must not overflow.
         if not isinstance(stamp, int) or not abs(stamp) < 2**62:
@@ -187,8 +184,6 @@ def _check_database(file: Path) -> None:
     if not head.startswith(b"SQLite format 3\0") or file.stat().st_size < stated:
         fault = f"{file.name} has {file.stat().st_size} bytes of {stated}"
         raise SessionError(f"{DAMAGED} ({fault}); record it again")
-    if {*"?#%"} & {*str(file.absolute())}:  # sqlite3 would read the path as a URI with a query
-        raise SessionError("a .db3 file cannot be read where its path has ? # or %; rename it")
 
 
 def _header_stamp(message, topic: str) -> int:
@@ -200,18 +195,18 @@ def _header_stamp(message, topic: str) -> int:
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
-def _value(message, row: int, rule: ColumnRule, frames: dict[str, object]) -> Any:
+def _value(message, row: int, rule: ColumnRule) -> Any:
     """Return the number, or the text of a map, of a message; None without the selected entry."""
     try:
-        value = _walk(message, rule, frames)
+        value = _walk(message, rule)
         return _yaw(value) if rule.path.yaw and value is not None else value
     except SessionError as error:
         place = f"topic {rule.topic!r}, message {row} (from 0), {rule.label}"
         raise type(error)(f"{place} of {message.__msgtype__}: {error}") from None
 
 
-def _walk(message, rule: ColumnRule, frames: dict[str, object]) -> Any:
-    """Follow a rule's field path into a message; `frames` stay the same for each rule."""
+def _walk(message, rule: ColumnRule) -> Any:
+    """Follow a rule's field path into a message."""
     parent, value = None, message
     for step in rule.path.steps:
         if isinstance(step, str):
@@ -227,12 +222,6 @@ def _walk(message, rule: ColumnRule, frames: dict[str, object]) -> Any:
             raise SessionError(fault)
         else:
             value = value[step]
-            frame = getattr(value, "child_frame_id", None)
-            if frames.setdefault(rule.name, frame) != frame:
-                raise SessionError(
-                    f"the entry [{step}] is of frame {frame!r} here, and of "
-                    f'{frames[rule.name]!r} before; select one: [child_frame_id="{frame}"]'
-                )
     text = isinstance(value, str)
     number = isinstance(value, bool | int | float | np.bool_ | np.number)
     if not (number or rule.path.yaw or (text and rule.map)):

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import warn
 from trustlab.sessions.errors import RecipeError, SessionError
 from trustlab.sessions.recipe import (
     NUMBER,
@@ -309,23 +308,12 @@ def session_of(
     for name, rule in recipe.columns.items():
         if rule.kind in ("value", "from"):
             frame[name] = _constant(rule, values)
-        elif rule.above is not None and name in frame:
-            _note_division(log, rule, frame[name])
     for name, rule in recipe.columns.items():
         if rule.needs and name in selection:
             frame[name] = _computed(rule, frame)
     entries = {name: values[name] for name in recipe.metadata}
     metadata = log.metadata.changed(**log.notes | entries, source=log.source)
     return keep_table(frame[list(selection)].rename_axis(index="t"), metadata, place)
-
-
-def _note_division(log: RawLog, rule: ColumnRule, values: pd.Series) -> None:
-    """Note how many samples lie above a column's limit; warn where it divides none."""
-    count = int(values.sum())
-    log.notes[f"{rule.name} above {rule.above:g}"] = f"{count} of {values.size} samples"
-    if count in (0, values.size):
-        same = f"column {rule.name} is {min(count, 1)} throughout"
-        warn(f"{log.source}: {same}: {rule.above:g} divides no sample from the others")
 
 
 def _computed(rule: ColumnRule, frame: pd.DataFrame) -> np.ndarray:

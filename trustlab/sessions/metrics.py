@@ -1,6 +1,7 @@
 """Performance measured from logs: (2.4), (2.7), (3.26)-(3.27), UAVs; tracking error of trials."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -243,11 +244,11 @@ def with_performance(
         )
         warn(f"{short}: every value is the mean of what there was so far")
     note = f"{equations}, window {window:g} s"
-    measured = session.with_columns(p_r=p_r, p_h=p_h).with_metadata(
-        performance=note, performance_window=float(window)
-    )
     # The new means begin where the session does, also where older ones had been cut.
-    return measured.without_metadata("performance_cut")
+    more = {**session.metadata.more, "performance": note, "performance_window": float(window)}
+    more.pop("performance_cut", None)
+    measured = session.with_columns(p_r=p_r, p_h=p_h)
+    return replace(measured, metadata=replace(session.metadata, more=more))
 
 
 def _warn_of_idle_commands(session) -> None:

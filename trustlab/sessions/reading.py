@@ -1,7 +1,7 @@
 """Read logged sessions: one, all of a folder, or a data frame."""
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -71,7 +71,7 @@ def read_session(
         A ``.csv``, ``.csv.gz``, ``.tsv`` or ``.txt`` table, a ``.parquet``, ``.bag`` (ROS 1),
         ``.mcap`` or ``.db3`` file, or a rosbag2 folder.
     recipe : str, path-like or Recipe, optional
-        How the log's columns become ours: a name from `list_recipes()`, the path of a TOML file, or
+        How the log's columns become ours: the name of a recipe of ours, the path of a TOML file, or
         a Recipe. A table with the vocabulary's names in SI units, and t in seconds, needs none; nor
         does anything that `write_session` wrote.
     columns : sequence of str, optional
@@ -230,7 +230,6 @@ def read_sessions(
     recipe: str | os.PathLike | Recipe | None = None,
     *,
     on_error: str = "raise",
-    progress: Callable[[int, int], object] | None = None,
     columns: Sequence[str] | None = None,
     resample: str | None = None,
     sample_time: float | None = None,
@@ -251,8 +250,6 @@ def read_sessions(
     on_error : {"raise", "collect"}
         What to do about a file that has a fault: raise it, or leave the file out and list it in the
         result's `faults`.
-    progress : callable, optional
-        Called after each file with the number of files read and the number of all.
     columns : sequence of str, optional
         Read only these columns of the sessions.
     resample : {"previous", "linear", "nearest"}, optional
@@ -291,8 +288,6 @@ def read_sessions(
     ['pilot', '1', '2', '3', '4', '5']
     """
     one_of("on_error", on_error, ("raise", "collect"))
-    if progress is not None and not callable(progress):
-        raise ValueError(f"progress must be a function of two numbers, got {shown(progress)}")
     reader = Reader(recipe, columns, resample, sample_time, delimiter, decimal)
     source = str(path_of("folder", folder))
     if not os.path.isdir(source):
@@ -300,15 +295,13 @@ def read_sessions(
         raise SessionError(f"there is no such folder{hint}", source)
     paths = matching(source, reader.pattern, reader.header) if reader.pattern else logs_in(source)
     sessions, faults = [], []
-    for done, path in enumerate(paths, start=1):
+    for path in paths:
         try:
             sessions.extend(reader.read(path))
         except SessionError as error:
             if on_error == "raise":
                 raise
             faults.append((path, str(error)))
-        if progress is not None:
-            progress(done, len(paths))
     reader.warn()
 
     def order(session: Session) -> list[tuple]:

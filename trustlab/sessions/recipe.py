@@ -554,17 +554,6 @@ def _shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
-def list_recipes() -> dict[str, str]:
-    """
-    Return the recipes that come with the package: names and descriptions.
-
-    Returns
-    -------
-    dict of str to str
-    """
-    return {name: load_recipe(name).description for name in _shipped()}
-
-
 def load_recipe(recipe: str | os.PathLike | Recipe) -> Recipe:
     """
     Return a recipe by name or from a file.
@@ -572,8 +561,8 @@ def load_recipe(recipe: str | os.PathLike | Recipe) -> Recipe:
     Parameters
     ----------
     recipe : str, path-like or Recipe
-        The name of a recipe that comes with the package (see `list_recipes`), the path of a TOML
-        file, or a recipe, which is returned as it is.
+        The name of a recipe that comes with the package, the path of a TOML file, or a recipe,
+        which is returned as it is.
 
     Raises
     ------

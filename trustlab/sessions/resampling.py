@@ -11,7 +11,7 @@ from trustlab.sessions.errors import RecipeError, SessionError
 from trustlab.sessions.recipe import STATES, ColumnRule, Resampling
 from trustlab.sessions.session import ROW, Metadata, Place
 
-# The longest log that is made by resampling, or read from a bag (five and a half hours at 1 kHz).
+# The longest log that is made by resampling (five and a half hours at 1 kHz).
 MAX_SAMPLES = 20_000_000
 
 

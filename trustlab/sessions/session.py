@@ -30,9 +30,6 @@ FIELDS = {
 # irregular.
 STEP_TOLERANCE = 0.01
 
-# Samples of which steps are looked at together.
-BLOCK = 1 << 16
-
 # What to do about a missing column, by the beginning of its name.
 REMEDIES = {
     "p_": "; where the log has performance under another name, its recipe says so; "
@@ -307,18 +304,6 @@ class Session(Result):
         """
         return Session(self.data, self.metadata.changed(**changes))
 
-    def without_metadata(self, *names: str) -> Session:
-        """
-        Return a session without entries of its `metadata.more`.
-
-        Parameters
-        ----------
-        *names : str
-            The entries; those that it does not have are passed over.
-        """
-        more = {name: value for name, value in self.metadata.more.items() if name not in names}
-        return Session(self.data, replace(self.metadata, more=more))
-
     def between(self, start: float, stop: float) -> Session:
         """
         Return the part of the session with start ≤ t ≤ stop.
@@ -470,14 +455,8 @@ def check_uniform(t: np.ndarray, place: Place = ROW) -> None:
     """Raise where a time axis does not rise uniformly, within STEP_TOLERANCE."""
     if t.size < 2:
         raise SessionError(f"a session needs at least two samples, found {t.size}")
+    steps = check_rising(t, place)
     with np.errstate(over="ignore", invalid="ignore"):
-        # Where the longest and the shortest step are as near as that, no step is off, and a long
-        # log needs neither a median nor all its steps in memory at once.
-        blocks = (np.diff(t[k : k + BLOCK + 1]) for k in range(0, t.size - 1, BLOCK))
-        least, most = np.transpose([(steps.min(), steps.max()) for steps in blocks])
-        if least.min() > 0.0 and most.max() - least.min() <= STEP_TOLERANCE * least.min():
-            return
-        steps = check_rising(t, place)
         step = float(np.median(steps))
         off = np.abs(steps - step) > STEP_TOLERANCE * step
     if not np.isfinite(step) or off.any():

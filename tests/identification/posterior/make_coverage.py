@@ -17,8 +17,7 @@ from scipy import stats
 import trustlab as tl
 from tests.identification.posterior import simulated_logs
 from trustlab.identification.posterior import population as pooling
-from trustlab.identification.posterior.density import physical
-from trustlab.identification.posterior.priors import as_prior, transformed
+from trustlab.identification.posterior.density import as_prior, physical, transformed
 from trustlab.identification.posterior.result import MODEL
 
 HERE = Path(__file__).resolve().parent

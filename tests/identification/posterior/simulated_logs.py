@@ -5,8 +5,16 @@ from scipy.signal import lfilter
 
 import trustlab as tl
 from tests.identification.cases import log
-from trustlab.identification.posterior.density import DELAY, NOISES, P_R0, R0, Target, physical
-from trustlab.identification.posterior.priors import as_prior, transformed
+from trustlab.identification.posterior.density import (
+    DELAY,
+    NOISES,
+    P_R0,
+    R0,
+    Target,
+    as_prior,
+    physical,
+    transformed,
+)
 from trustlab.identification.posterior.sampling import prior_thetas
 from trustlab.sessions.metrics import window_mean
 
@@ -92,6 +100,14 @@ def any_target(prior="weak"):
     return Target(None, mean, deviation, whitening, free)
 
 
+def people_of(target, count, rng):
+    """θ of so many people drawn from the prior."""
+    thetas = []
+    while len(thetas) < count:
+        thetas += list(prior_thetas(target, count, rng))
+    return thetas[:count]
+
+
 def measured_case(rng, size=6000):
     """
     A session in which a rule acts on measured performance, and the true θ.
@@ -103,7 +119,7 @@ def measured_case(rng, size=6000):
     target = any_target()
     modes = np.zeros(0)
     while np.count_nonzero(np.diff(modes)) < 3:
-        theta, other = prior_thetas(target, 2, rng)
+        theta, other = people_of(target, 2, rng)
         design = model_of(other)[0]
         limits = tl.threshold_limits(design, 0.0)
         if not limits.feasible:
@@ -142,7 +158,7 @@ def drawn_case(rng, kind, loop="open", minutes=10.0, prior="weak"):
     size = int(minutes * 600)
     target = any_target(prior)
     while True:
-        theta = prior_thetas(target, 1, rng)[0]
+        theta = people_of(target, 1, rng)[0]
         tsc, r0, p_r0 = model_of(theta)
         if loop == "open" or tl.threshold_limits(tsc, 0.0).feasible:
             break

@@ -16,13 +16,12 @@ from tests.identification.posterior import simulated_logs
 from trustlab.identification.log import read_runs
 from trustlab.identification.posterior import density as kernel
 from trustlab.identification.posterior.density import (
-    Target,
-    density,
-    from_theta,
-    log_prior,
-    to_thetas,
+    as_prior,
+    evaluated,
+    point_of,
+    prior_of,
+    transformed,
 )
-from trustlab.identification.posterior.priors import as_prior, prior_of, transformed
 from trustlab.identification.posterior.sampling import prior_thetas, target_of
 from trustlab.identification.problem import Problem, filter_columns, process
 from trustlab.identification.tsc import TSC
@@ -90,15 +89,17 @@ def test_block_means_are_those_of_the_models():
                 expected = sampled[name].to_numpy()[: 10 * count].reshape(count, 10).mean(axis=1)
                 # (2.6) at the mean utilization of a block of a second; at rest its slope is
                 # infinite.
-                span = tsc.human.p_max - tsc.human.p_min
+                part = (tsc.human, tsc.robot)[j]
+                span = part.p_max - part.p_min
                 np.testing.assert_allclose(means[j, blocks], expected, atol=0.02 * span)
                 assert np.abs(means[j, blocks] - expected).mean() < 1e-3 * span
 
 
 def test_the_density_is_likelihood_times_prior():
     target, theta = own_target(6)
-    x = from_theta(theta, target)
-    np.testing.assert_allclose(to_thetas(x[None], target)[0], theta, atol=1e-12)
+    x = point_of(theta, target)
+    back, values = evaluated(x[None], target)
+    np.testing.assert_allclose(back[0], theta, atol=1e-12)
     errors = target.blocks.measured - kernel.simulate(theta, target.blocks)
     expected = 0.0
     for j, places in enumerate(kernel.NOISES):
@@ -109,55 +110,53 @@ def test_the_density_is_likelihood_times_prior():
     free = target.free
     prior = normals.logpdf(theta)[free].sum() + np.log(target.deviation[free]).sum()
     prior += 0.5 * free.size * np.log(2.0 * np.pi)
-    assert density(x, target) == pytest.approx(expected + prior, rel=1e-9)
+    assert values[0] == pytest.approx(expected + prior, rel=1e-9)
 
 
 def test_a_prior_of_correlated_parameters_has_its_density():
     rng = np.random.default_rng(7)
-    target, _, theta = target_and_runs(rng, minutes=(1.0,))
     values = transformed(tl.published_models().values())
     root = rng.standard_normal((7, 7))
     covariance = root @ root.T + np.eye(7)
     prior = prior_of(values.mean(axis=0), covariance)
-    mean, deviation, whitening = prior.vectors(1)
-    target = Target(target.blocks, mean, deviation, whitening, target.free)
-    rest = mean.copy()
-    rest[:7] = theta[:7]
-    expected = stats.multivariate_normal(mean[:7], covariance)
-    difference = log_prior(rest, target) - log_prior(mean, target)
-    assert difference == pytest.approx(
-        expected.logpdf(theta[:7]) - expected.logpdf(mean[:7]), rel=1e-9
-    )
+    mean, _, whitening = prior.vectors(1)
+    expected = stats.multivariate_normal(values.mean(axis=0), covariance)
+    for theta in expected.rvs(5, random_state=rng):
+        z = whitening @ np.r_[theta - mean[:7], np.zeros(mean.size - 7)]
+        density = expected.logpdf(theta) - expected.logpdf(expected.mean)
+        assert -0.5 * z @ z == pytest.approx(density, rel=1e-9)
 
 
 def test_coordinates_have_unit_jacobian():
     target, theta = own_target(8)
-    x = from_theta(theta, target)
+    x = point_of(theta, target)
     columns = []
     for k in range(x.size):
         step = np.zeros(x.size)
         step[k] = 1e-6
-        ends = to_thetas(np.array([x + step, x - step]), target)[:, target.free]
+        ends = evaluated(np.array([x + step, x - step]), target)[0][:, target.free]
         columns.append((ends[0] - ends[1]) / 2e-6 / target.deviation[target.free])
     assert np.linalg.det(np.array(columns)) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_delay_shifts_what_is_simulated():
-    target, theta = own_target(9, mode_delay=True)
+    """Oracle: the models' samples, moved."""
+    target, runs, theta = target_and_runs(np.random.default_rng(9), (1.0,), mode_delay=True)
     assert kernel.DELAY in target.free
+    tsc, r0, p_r0 = simulated_logs.model_of(theta)
+    sampled = tsc.simulate(runs[0]["mode"], r0, p_r0)[["p_h", "p_r"]].to_numpy().T
     means = kernel.simulate(theta, target.blocks)
-    for late in (1.0, 0.25):  # in blocks of a second
-        theta[kernel.DELAY] = late
-        earlier = np.column_stack([means[:, :1], means[:, :-1]])
-        measured = (1.0 - late) * means + late * earlier
+    errors = np.empty(means.shape)
+    for samples in (10, 3):
+        moved = np.concatenate([sampled[:, :1].repeat(samples, axis=1), sampled], axis=1)
+        measured = moved[:, : 10 * means.shape[1]].reshape(2, -1, 10).mean(axis=2)
         blocks = target.blocks._replace(measured=measured, known=np.ones(means.shape, bool))
-        errors = np.empty(means.shape)
-        kernel.innovations(theta, blocks, means, errors)
-        np.testing.assert_allclose(errors, 0.0, atol=1e-9)
+        sizes = []
         # Negative control: the mode acts when it is stamped.
-        theta[kernel.DELAY] = 0.0
-        kernel.innovations(theta, blocks, means, errors)
-        assert np.abs(errors).max() > 1e-3
+        for theta[kernel.DELAY] in (0.1 * samples, 0.0):
+            kernel.innovations(theta, blocks, means, errors)
+            sizes.append(np.abs(errors).mean())
+        assert sizes[0] < 0.25 * sizes[1]
 
 
 def test_windows_are_undone_before_means_are_taken():
@@ -179,6 +178,6 @@ def test_means_over_a_window_are_simulated_by_blocks(window):
     samples = 0.4 + 0.05 * np.sin(t / 30.0)
     blocks = samples.reshape(-1, 10).mean(axis=1)
     expected = window_mean(samples, 0.1, 0.1 * window).reshape(-1, 10).mean(axis=1)
-    means = kernel.averaged(blocks, window, 10)
+    means = kernel.logged(blocks, 0.0, window, 10)
     np.testing.assert_allclose(means, expected, atol=5e-5)
     assert np.abs(blocks - expected).max() > 1e-3  # what is told apart

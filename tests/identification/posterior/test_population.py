@@ -186,10 +186,11 @@ def test_a_group_fitted_again_is_as_stored():
     again = population_of("prior", "means", 3).set_index(["person", "parameter"])
     rows = STORED.query("origin == 'prior' and noise == 'means' and number == 3")
     before = rows.astype({"person": str}).set_index(["person", "parameter"])
-    # The same posterior, but a last bit, or a better search for its maximum, changes the draws: of
-    # a thousand the ends of two intervals are 4 % of their width apart (one standard deviation).
+    # The same posterior, but a last bit, or another proposal, changes the draws: the ends of an
+    # interval of somebody whose draws are worth 500 are some 8 % of its width apart (one standard
+    # deviation).
     spread = before["ci_high"] - before["ci_low"]
     columns = ["mean", "ci_low", "ci_high"]
     changes = (again.loc[before.index, columns] - before[columns]).div(spread, axis="index")
-    assert (changes.abs().max() < [0.06, 0.16, 0.16]).all()
+    assert (changes.abs().max() < [0.08, 0.3, 0.3]).all()
     np.testing.assert_allclose(again.loc[before.index, "truth"], before["truth"], rtol=1e-6)

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import stats
+from scipy import special, stats
 
 import trustlab as tl
 from tests.house.documents import ROOT
@@ -20,16 +20,17 @@ from tests.identification.posterior import simulated_logs
 from tests.identification.posterior.make_coverage import LOGS, NOISES, ranks_of
 from trustlab.identification.log import read_runs
 from trustlab.identification.posterior import sampling
-from trustlab.identification.posterior.density import physical, to_thetas
+from trustlab.identification.posterior.density import evaluated, physical
 from trustlab.identification.posterior.result import MODEL, interval_words
 from trustlab.identification.posterior.sampling import (
     Component,
     Sample,
     Top,
+    adapted,
     drawn,
+    log_parts,
     pareto_fit,
     sample_target,
-    smoothed,
     tops_of,
     walked,
     weighed,
@@ -162,7 +163,7 @@ def test_walkers_agree_with_weights():
     runs = read_runs(session, "mode", "p_h", "p_r")
     tops = tops_of(target, rough_optima(TSC, runs, TSC.limits()))
     walkers = walked(target, sample_target(target, tops, rng)[0], rng)
-    by_walkers = physical(to_thetas(walkers.points, target), 0.1)[list(MODEL)]
+    by_walkers = physical(evaluated(walkers.points, target)[0], 0.1)[list(MODEL)]
     draws = posterior.draws[list(MODEL)]
     assert ((by_walkers.mean() - draws.mean()).abs() < 0.25 * draws.std()).all()
     np.testing.assert_allclose(by_walkers.std(), draws.std(), rtol=0.3)
@@ -219,9 +220,9 @@ def test_the_tail_of_weights_is_a_pareto_distribution():
         assert scale == pytest.approx(1.0, rel=0.1)
     # Weights of a normal density under one that is narrower have k = 1 − (narrow/wide)².
     x = 0.5 * rng.standard_normal(20_000)
-    assert smoothed(stats.norm().logpdf(x) - stats.norm(scale=0.5).logpdf(x))[1] > 0.6
+    assert weighed(x, stats.norm().logpdf(x) - stats.norm(scale=0.5).logpdf(x)).k_hat > 0.6
     x = 1.5 * rng.standard_normal(20_000)
-    assert smoothed(stats.norm().logpdf(x) - stats.norm(scale=1.5).logpdf(x))[1] < 0.3
+    assert weighed(x, stats.norm().logpdf(x) - stats.norm(scale=1.5).logpdf(x)).k_hat < 0.3
 
 
 def test_points_of_all_rounds_count_by_the_mixture_of_their_proposals():
@@ -233,15 +234,27 @@ def test_points_of_all_rounds_count_by_the_mixture_of_their_proposals():
         [Component(8000.0, np.zeros(3), 1.3 * truth.cov)],
     ]
     points = np.concatenate([drawn(parts, int(parts[0].weight), rng) for parts in rounds])
-    sample = weighed(points, 7.0 + truth.logpdf(points), rounds[0] + rounds[1])
+    log_weights = (
+        7.0
+        + truth.logpdf(points)
+        - special.logsumexp(log_parts(points, rounds[0] + rounds[1]), axis=1)
+    )
+    sample = weighed(points, log_weights)
     assert sample.k_hat < 0.5
     assert sample.effective > 4000
     np.testing.assert_allclose(sample.weights @ points, 0.0, atol=0.08)
     covariance = np.cov(points.T, aweights=sample.weights)
     np.testing.assert_allclose(np.diag(covariance), np.diag(truth.cov), rtol=0.06)
     # Negative control: the first round alone, which hardly reaches the rest, is far off.
-    alone = weighed(points[:4000], truth.logpdf(points[:4000]), rounds[0])
+    first = points[:4000]
+    alone = weighed(first, truth.logpdf(first) - log_parts(first, rounds[0])[:, 0])
     assert alone.weights @ points[:4000, 1] > 0.3
+
+
+def test_proposals_are_adapted_to_a_few_points_of_weight():
+    points = np.random.default_rng(38).standard_normal((4000, 5))
+    sample = weighed(points, np.r_[np.arange(7.0), np.full(3993, -np.inf)])
+    assert np.linalg.eigvalsh(adapted(sample).scale).min() > 0.1
 
 
 # --- what it takes and says -----------------------------------------------------------------------

@@ -24,8 +24,15 @@ import pandas as pd
 from tqdm import tqdm
 
 from trustlab.identification.log import LogSettings, as_list
-from trustlab.identification.posterior.density import H_MIN, P_MIN, R0, SHARED, physical
-from trustlab.identification.posterior.priors import Prior, as_prior, prior_of
+from trustlab.identification.posterior.density import (
+    R0,
+    SHARED,
+    Prior,
+    admissible,
+    as_prior,
+    physical,
+    prior_of,
+)
 from trustlab.identification.posterior.result import (
     MODEL,
     WORDS,
@@ -33,7 +40,7 @@ from trustlab.identification.posterior.result import (
     interval_words,
     summary,
 )
-from trustlab.identification.posterior.sampling import Sample, resampled, sample_posterior, smoothed
+from trustlab.identification.posterior.sampling import resampled, sample_posterior, weighed
 from trustlab.models.checks import flag, one_of, open_unit, whole_number, whole_seed
 from trustlab.models.display import Result
 from trustlab.sessions.session import Session
@@ -85,8 +92,6 @@ def pool(draws: list[np.ndarray], base: list[np.ndarray], rng: np.random.Generat
     means = np.empty((STEPS, size))
     covariances = np.empty((STEPS, size, size))
     for step in range(STEPS):
-        if step == SETTLING:
-            weights = [np.zeros(len(each)) for each in draws]
         means[step] = _mean(people, covariance, rng)
         for _ in range(REPEATS):
             covariance = _covariance(people - means[step], covariance, rng)
@@ -98,7 +103,8 @@ def pool(draws: list[np.ndarray], base: list[np.ndarray], rng: np.random.Generat
             logarithms = base[i] - 0.5 * np.einsum("ki,ki->k", normal, normal)
             probability = np.exp(logarithms - logarithms.max())
             passed = probability.cumsum()
-            weights[i] += probability / passed[-1]
+            if step >= SETTLING:
+                weights[i] += probability / passed[-1]
             people[i] = each[np.searchsorted(passed, rng.random() * passed[-1], side="right")]
     shares = [each / each.sum() for each in weights]
     return Pool(means[SETTLING:], covariances[SETTLING:], shares)
@@ -330,26 +336,23 @@ def fit_population(
 
 def _pooled(posteriors: list[Posterior], prior: Prior, rng: np.random.Generator) -> Pool:
     """Return draws of the population; each person's own prior is divided out."""
-    centre, deviation, _ = prior.vectors(0)
-    draws = []
-    base = []
+    centre, deviation = np.array(prior.vectors(0)[:2])[:, :SHARED]
+    draws, base = [], []
     for posterior in posteriors:
-        target = posterior.target
-        thetas = posterior.thetas[:, :SHARED]
+        target, thetas = posterior.target, posterior.thetas[:, :SHARED]
         whitened = (thetas - target.mean[:SHARED]) @ target.whitening[:SHARED, :SHARED].T
-        draws.append((thetas - centre[:SHARED]) / deviation[:SHARED])
+        draws.append((thetas - centre) / deviation)
         base.append(0.5 * (whitened**2).sum(axis=1))
     return pool(draws, base, rng)
 
 
 def _new_people(pooled: Pool, prior: Prior, rng: np.random.Generator) -> np.ndarray:
     """Return a person of each draw of the population, θ of those who make a model."""
-    centre, deviation, _ = prior.vectors(0)
-    roots = np.linalg.cholesky(pooled.covariances)
+    centre, deviation = np.array(prior.vectors(0)[:2])[:, :SHARED]
     normal = rng.standard_normal(pooled.means.shape)
-    z = pooled.means + np.einsum("sij,sj->si", roots, normal)
-    thetas = centre[:SHARED] + deviation[:SHARED] * z
-    return thetas[(thetas[:, H_MIN] > 0.0) & (thetas[:, P_MIN] > 0.0)]
+    z = pooled.means + np.einsum("sij,sj->si", np.linalg.cholesky(pooled.covariances), normal)
+    thetas = centre + deviation * z
+    return thetas[admissible(thetas)]
 
 
 def _prediction(thetas: np.ndarray, prior: Prior, wider: float) -> Prior:
@@ -363,14 +366,13 @@ def _reweighted(
     posterior: Posterior, weights: np.ndarray, n: int, rng: np.random.Generator
 ) -> Posterior:
     """Return a person's posterior with draws chosen by weight."""
-    k_hat = float(smoothed(np.log(np.maximum(weights, 1e-300)))[1])
-    sample = Sample(np.arange(weights.size), weights, k_hat, float(1.0 / np.sum(weights**2)))
+    sample = weighed(np.arange(weights.size), np.log(np.maximum(weights, 1e-300)))
     rows = resampled(sample, n, rng)
     return replace(
         posterior,
         draws=posterior.draws.iloc[rows].reset_index(drop=True),
         thetas=posterior.thetas[rows],
-        k_hat=k_hat,
+        k_hat=sample.k_hat,
         effective=sample.effective,
         method="population",
     )

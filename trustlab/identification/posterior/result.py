@@ -7,16 +7,11 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.posterior.density import (
-    SHARED,
-    Target,
-    simulate,
-)
-from trustlab.identification.posterior.priors import Prior
+from trustlab.identification.posterior.density import SHARED, Prior, Target, simulate
 from trustlab.identification.problem import NOT_WHITE
 from trustlab.identification.tsc import TSC, build_tsc
 from trustlab.models.checks import open_unit
-from trustlab.models.display import Result
+from trustlab.models.display import Result, axes_or_new
 from trustlab.models.tsc import TscModel
 
 # Share of the prior's range below which a posterior would be a mere line in it.
@@ -201,37 +196,34 @@ class Posterior(Result):
         numpy.ndarray of matplotlib.axes.Axes
             Seven marginals, then human and robot performance of the first run.
         """
-        import matplotlib.pyplot as plt
-
-        figure, axes = plt.subplots(3, 3, figsize=(8.2, 7), layout="constrained")
-        panels = axes.ravel()
-        for panel, name in zip(panels, MODEL, strict=False):
-            low, high = self.prior_draws[name].quantile([0.01, 0.99])
+        title = "Posterior, synthetic data" if self.synthetic else ""
+        axes = axes_or_new(rows=3, columns=3, title=title, figsize=(8.2, 7))
+        *panels, human, robot = axes.ravel()
+        for panel, name in zip(panels, MODEL, strict=True):
+            (low, high), (least, most) = (
+                draws[name].quantile([0.01, 0.99]) for draws in (self.prior_draws, self.draws)
+            )
             bins = np.linspace(low, high, 40)
             panel.hist(self.prior_draws[name], bins, density=True, color="0.8", label="prior")
             panel.hist(self.draws[name], 30, density=True, color="C0", alpha=0.7, label="posterior")
-            least, most = self.draws[name].quantile([0.01, 0.99])
             if most - least < NARROW * (high - low):
-                panel.set_xlim(least - (most - least), most + (most - least))
+                panel.set_xlim(2.0 * least - most, 2.0 * most - least)
                 panel.locator_params(axis="x", nbins=4)
                 panel.set_title(f"prior: {low:.3g} to {high:.3g}", fontsize="small")
             panel.set(xlabel=WORDS[name], yticks=[])
         panels[0].legend(fontsize="small")
         blocks = self.target.blocks
-        size = blocks.first_block[1]
-        t = (np.arange(size) + 0.5) * blocks.step * blocks.samples
-        curves = np.array([simulate(theta, blocks)[:, :size] for theta in self.thetas[:200]])
+        first_run = slice(blocks.first_block[1])
+        t = (np.arange(blocks.first_block[1]) + 0.5) * blocks.step * blocks.samples
+        curves = [simulate(theta, blocks)[:, first_run] for theta in self.thetas[:200]]
         bands = np.quantile(curves, [0.025, 0.5, 0.975], axis=0)
-        for j, label in enumerate(("$P_h$", "$P_r$")):
-            panel, (low, middle, high) = panels[7 + j], bands[:, j]
-            panel.plot(
-                t, blocks.measured[j, :size], lw=0.5, color="0.6", label="measured, 1-s means"
-            )
+        for j, (panel, label) in enumerate([(human, "$P_h$"), (robot, "$P_r$")]):
+            low, middle, high = bands[:, j]
+            measured = blocks.measured[j, first_run]
+            panel.plot(t, measured, lw=0.5, color="0.6", label="measured, 1-s means")
             panel.fill_between(t, low, high, color="C1", alpha=0.5, label="95 % of fitted curves")
             panel.plot(t, middle, color="C1", lw=1.2)
             panel.set(xlabel="time [s]", ylabel=label)
             panel.set_title(self.labels[0], fontsize="small")
-        panels[7].legend(fontsize="x-small")
-        if self.synthetic:
-            figure.suptitle("Posterior, synthetic data", fontsize="small")
+        human.legend(fontsize="x-small")
         return axes

@@ -16,20 +16,21 @@ distribution, *Technometrics* 51 (2009), 316-325.
 
 import itertools
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import special
+from scipy import special, stats
 
 from trustlab.identification.log import LogSettings, log_settings, read_runs
-from trustlab.identification.model import COORDINATES, IdentificationError
+from trustlab.identification.model import IdentificationError
 from trustlab.identification.posterior.density import (
-    BETA,
     DELAY,
     FAR,
     H_MIN,
     H_SPAN,
-    NOISES,
+    LEAST,
+    ODDS,
     OUTPUTS,
     P_MIN,
     P_R0,
@@ -37,23 +38,23 @@ from trustlab.identification.posterior.density import (
     PER_RUN,
     R0,
     SHARED,
-    TAU_P,
-    TAU_R,
-    Blocks,
+    SLOW,
+    WHITE,
+    Prior,
     Target,
     admissible,
+    as_prior,
     blocks_of,
+    coordinates_of,
     curvature,
     densities,
-    density,
-    from_theta,
-    gradient,
+    evaluated,
+    gradients,
     innovations,
     physical,
+    point_of,
     simulate,
-    to_thetas,
 )
-from trustlab.identification.posterior.priors import Prior, as_prior
 from trustlab.identification.posterior.result import MOST_K, Posterior
 from trustlab.identification.problem import Optimum, whiteness_p
 from trustlab.identification.search import rough_optima
@@ -61,23 +62,59 @@ from trustlab.identification.tsc import TSC
 from trustlab.models.checks import whole_number, whole_seed
 from trustlab.sessions.session import Session
 
-# Least curvature that a proposal goes by, nothing being wider than two prior deviations, and that
-# an ascent begins with.
-LEAST_CURVATURE = 0.25
-STEEP = 0.3
-
-# Slope per deviation of the hill at which an ascent ends, and minus the density where it is zero.
-CLOSE = 1e-3
-NOWHERE = 1e10
+# --- where ascents begin -------------------------------------------------------------------------
 
 # Prior deviations from the mean within which an ascent begins: further out the prior would rule.
-BULK = 2.5
+BULK = 2.4
 
-# Least performance, range and share from which one begins.
-LEAST = 1e-3
+
+def starting_points(target: Target, optima: list[Optimum]) -> list[np.ndarray]:
+    """Return points of the optima of a fit, drawn to the prior, and of its mean; the best first."""
+    mean, blocks = target.mean, target.blocks
+    bulk = mean - BULK * target.deviation, mean + BULK * target.deviation
+    points = []
+    for theta in (*(_theta(optimum, target) for optimum in optima), mean):
+        theta = np.clip(theta, *bulk)
+        errors = np.where(blocks.known, blocks.measured - simulate(theta, blocks), 0.0)
+        spread = np.sqrt(np.mean(errors**2, axis=1)) + 1e-7
+        theta[WHITE], theta[SLOW] = np.log(spread * np.sqrt(blocks.samples)), np.log(spread)
+        # To a thousandth of a prior deviation: the same place on every processor.
+        points.append(np.round(point_of(np.clip(theta, *bulk), target), 3))
+    measured = np.average(blocks.measured, axis=1, weights=blocks.known)
+    low, span = [H_MIN, P_MIN], [H_SPAN, P_SPAN]
+    ranges = FAR * target.deviation[low] + np.exp(bulk[1][span])
+    values = densities(np.array(points), target)
+    if values.max() == -np.inf or (np.abs(measured - mean[low]) > ranges).any():
+        raise IdentificationError(
+            f"the data lie far from what the prior expects: p_h is {measured[0]:.3g} and p_r "
+            f"{measured[1]:.3g} on average; state the scale of your measure with "
+            "prior=trustlab.Prior(human_p_min=(…, …), human_span=(…, …), robot_p_min=(…, …), "
+            "robot_span=(…, …))"
+        )
+    return [points[i] for i in np.argsort(-values, kind="stable") if values[i] > -np.inf]
+
+
+def _theta(optimum: Optimum, target: Target) -> np.ndarray:
+    """Return θ of a fit's optimum, noise at the prior's mean."""
+    theta, values = target.mean.copy(), optimum.values()
+    theta[:SHARED] = coordinates_of(values, target.blocks.step)
+    theta[R0::PER_RUN] = ODDS.to(np.clip(values["r0"], LEAST, 1.0 - LEAST))
+    theta[P_R0::PER_RUN] = values["p_r0"] - values["robot_p_min"]
+    return theta
 
 
 # --- ascents --------------------------------------------------------------------------------------
+
+# Least curvature that ascents and proposals go by: nothing is wider than two prior deviations.
+LEAST_CURVATURE = 0.25
+
+# Slope per prior deviation at which an ascent ends, and minus the density where it is zero.
+CLOSE = 1e-2
+NOWHERE = 1e10
+
+# Ascents, and how far below the highest another maximum may lie: odds of e¹² to 1.
+ASCENTS = 3
+LOWER = 12.0
 
 
 class Top(NamedTuple):
@@ -88,90 +125,45 @@ class Top(NamedTuple):
     covariance: np.ndarray
 
 
-def hill(x: np.ndarray, target: Target, least: float) -> np.ndarray:
-    """Return the inverse of the curvature's size, which is at least `least` in any direction."""
+def hill(x: np.ndarray, target: Target) -> np.ndarray:
+    """Return the inverse of the curvature's size, which has a least value in any direction."""
     values, vectors = np.linalg.eigh(curvature(x, target))
-    return (vectors / np.maximum(np.abs(values), least)) @ vectors.T
+    root = vectors / np.sqrt(np.maximum(np.abs(values), LEAST_CURVATURE))
+    return root @ root.T
 
 
 def climb(x: np.ndarray, target: Target) -> Top:
     """Return the maximum that an ascent from x reaches."""
     from scipy.optimize import minimize
 
-    # Distances in deviations of the hill, as its curvature at the beginning foretells these.
-    root = np.linalg.cholesky(hill(x, target, STEEP))
     end = minimize(
-        lambda z: -max(density(x + root @ z, target), -NOWHERE),
-        np.zeros(x.size),
-        jac=lambda z: -gradient(x + root @ z, target) @ root,
+        lambda x: min(-densities(x[None], target)[0], NOWHERE),
+        x,
+        jac=lambda x: -gradients(x[None], target)[0],
         method="BFGS",
-        options={"gtol": CLOSE, "maxiter": 100},
+        options={"gtol": CLOSE, "maxiter": 100, "hess_inv0": hill(x, target)},
     )
-    reached = x + root @ end.x
-    step = hill(reached, target, LEAST_CURVATURE) @ gradient(reached, target)
+    step = hill(end.x, target) @ gradients(end.x[None], target)[0]
     # After Newton's step, and rounded, it is the same point on every processor. Where an ascent
     # stopped short, the step may lead to where there is no model.
-    points = (np.round(reached + step, 4), np.round(reached, 4), x)
-    top = next(point for point in points if density(point, target) >= density(x, target))
-    return Top(top, float(density(top, target)), hill(top, target, LEAST_CURVATURE))
+    points = np.array([*np.round([end.x + step, end.x], 4), x])
+    values = densities(points, target)
+    best = int(np.argmax(values >= values[-1]))
+    return Top(points[best], float(values[best]), hill(points[best], target))
 
 
-# --- where ascents begin --------------------------------------------------------------------------
-
-
-def starting_points(target: Target, optima: list[Optimum]) -> list[np.ndarray]:
-    """Return coordinates of the optima of a fit, drawn to the prior, and of its mean."""
-    thetas = [*(_theta(optimum.values(), target) for optimum in optima), target.mean]
-    # To a thousandth of a prior deviation: from there on all is compiled and the same everywhere.
-    points = [np.round(from_theta(_with_noise(theta, target), target), 3) for theta in thetas]
-    points = [x for x in points if density(x, target) > -np.inf]
-    means = np.average(target.blocks.measured, axis=1, weights=target.blocks.known)
-    low, span = [H_MIN, P_MIN], [H_SPAN, P_SPAN]
-    ranges = np.exp(target.mean[span] + BULK * target.deviation[span])
-    far = np.abs(means - target.mean[low]) > FAR * target.deviation[low] + ranges
-    if far.any() or not points:
-        raise IdentificationError(
-            f"the data lie far from what the prior expects: p_h is {means[0]:.3g} and p_r "
-            f"{means[1]:.3g} on average; state the scale of your measure with "
-            "prior=trustlab.Prior(human_p_min=(…, …), human_span=(…, …), robot_p_min=(…, …), "
-            "robot_span=(…, …))"
-        )
-    return sorted(points, key=lambda x: -density(x, target))
-
-
-def _drawn_to_prior(theta: np.ndarray, target: Target) -> np.ndarray:
-    """Return θ within the prior's bulk, and such that it makes a model."""
-    reach = BULK * target.deviation
-    theta = np.clip(theta, target.mean - reach, target.mean + reach)
-    theta[[H_MIN, P_MIN]] = np.maximum(theta[[H_MIN, P_MIN]], LEAST)
-    theta[P_R0::PER_RUN] = np.maximum(theta[P_R0::PER_RUN], LEAST - theta[P_MIN])
-    return theta
-
-
-def _theta(values: dict, target: Target) -> np.ndarray:
-    """Return θ of a fit's estimates by name, noise at the prior's mean."""
-    theta = target.mean.copy()
-    for who, time, low, span in (("human", TAU_R, H_MIN, H_SPAN), ("robot", TAU_P, P_MIN, P_SPAN)):
-        theta[time] = np.log(-target.blocks.step / np.log(values[f"{who}_a"]))
-        theta[low] = values[f"{who}_p_min"]
-        theta[span] = np.log(max(values[f"{who}_p_max"] - theta[low], LEAST))
-    for place, share in ((BETA, values["human_beta"]), (slice(R0, None, PER_RUN), values["r0"])):
-        theta[place] = COORDINATES["odds"].to(np.clip(share, LEAST, 1.0 - LEAST))
-    theta[P_R0::PER_RUN] = values["p_r0"] - theta[P_MIN]
-    return _drawn_to_prior(theta, target)
-
-
-def _with_noise(theta: np.ndarray, target: Target) -> np.ndarray:
-    """Return θ with noise by the spread of the residuals and their correlation at lag 1."""
-    blocks, theta = target.blocks, theta.copy()
-    errors = np.where(blocks.known, blocks.measured - simulate(theta, blocks), 0.0)
-    for error, at in zip(errors, NOISES, strict=True):
-        spread = np.sqrt(np.mean(error**2)) + 1e-7
-        rho = float(np.clip(np.mean(error[1:] * error[:-1]) / spread**2, 0.02, 0.99))
-        theta[at.white] = np.log(spread * np.sqrt(blocks.samples * (1.0 - 0.9 * rho)))
-        theta[at.slow] = np.log(spread * rho)
-        theta[at.time] = np.log(-blocks.step * blocks.samples / np.log(max(rho, 0.5)))
-    return _drawn_to_prior(theta, target)
+def tops_of(target: Target, optima: list[Optimum]) -> list[Top]:
+    """Return the maxima that ascents from a fit's optima reach, the highest first."""
+    climbed = [climb(x, target) for x in starting_points(target, optima)[:ASCENTS]]
+    climbed.sort(key=lambda top: -top.value)
+    tops: list[Top] = []
+    for top in climbed:
+        # Outside of the hills of higher ones.
+        steps = [(top.x - other.x, other.covariance) for other in tops]
+        apart = all(step @ np.linalg.solve(hill, step) > 4.0 for step, hill in steps)
+        if top.value > climbed[0].value - LOWER and apart:
+            tops.append(top)
+    return tops
 
 
 # --- importance sampling -------------------------------------------------------------------------
@@ -179,8 +171,7 @@ def _with_noise(theta: np.ndarray, target: Target) -> np.ndarray:
 # Degrees of freedom of the proposals: tails that are heavier than a normal posterior's.
 FREEDOM = 7.0
 
-
-# Independent points that a mixture is fitted to at least.
+# Independent points that a proposal is adapted to at least.
 LEVEL = 80.0
 
 
@@ -206,23 +197,20 @@ class Sample(NamedTuple):
     effective: float
 
 
-def smoothed(log_weights: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return logarithms of weights with the tail smoothed, [V] Section 2.1, and k̂."""
-    log_weights = log_weights - log_weights.max()
-    size = log_weights.size
-    tail = int(min(0.2 * size, 3.0 * np.sqrt(size)))
-    order = np.argsort(log_weights, kind="stable")
-    cut = np.exp(log_weights[order[-tail - 1]])
-    excess = np.exp(log_weights[order[-tail:]]) - cut
-    if not excess[-1] > 0.0:
-        return log_weights, np.inf
-    excess = np.maximum(excess, 1e-300)
-    shape, scale = pareto_fit(excess)
-    ranks = (np.arange(1, tail + 1) - 0.5) / tail
-    quantiles = -scale * special.boxcox1p(-ranks, -shape)
-    smooth = log_weights.copy()
-    smooth[order[-tail:]] = np.minimum(np.log(cut + quantiles), 0.0)
-    return smooth, shape
+def weighed(points: np.ndarray, log_weights: np.ndarray) -> Sample:
+    """Return points with weights whose tail is smoothed, [V] Section 2.1."""
+    weights = np.exp(log_weights - log_weights.max())
+    tail = int(min(0.2 * weights.size, 3.0 * np.sqrt(weights.size)))
+    order = np.argsort(weights, kind="stable")
+    cut, highest = weights[order[-tail - 1]], order[-tail:]
+    k_hat = np.inf
+    if cut < 1.0:
+        k_hat, scale = pareto_fit(np.maximum(weights[highest] - cut, 1e-300))
+        ranks = (np.arange(1, tail + 1) - 0.5) / tail
+        quantiles = -scale * special.boxcox1p(-ranks, -k_hat)
+        weights[highest] = np.minimum(cut + quantiles, 1.0)
+    weights /= weights.sum()
+    return Sample(points, weights, float(k_hat), float(1.0 / np.sum(weights**2)))
 
 
 def pareto_fit(excess: np.ndarray) -> tuple[float, float]:
@@ -233,8 +221,7 @@ def pareto_fit(excess: np.ndarray) -> tuple[float, float]:
     grid = grid / (3.0 * excess[int(size / 4 + 0.5) - 1]) + 1.0 / excess[-1]
     shapes = np.mean(np.log1p(-grid[:, None] * excess), axis=1)
     profile = size * (np.log(-grid / shapes) - shapes - 1.0)
-    weights = np.exp(profile - profile.max())
-    best = np.sum(grid * weights) / weights.sum()
+    best = special.softmax(profile) @ grid
     shape = float(np.mean(np.log1p(-best * excess)))
     # The shape is drawn to 0.5 as ten more excesses would ([V] Appendix C).
     return (size * shape + 10.0 * 0.5) / (size + 10.0), -shape / best
@@ -242,8 +229,6 @@ def pareto_fit(excess: np.ndarray) -> tuple[float, float]:
 
 def log_parts(points: np.ndarray, parts: list[Component]) -> np.ndarray:
     """Return the logarithm of each part's weight times density, shape (points, parts)."""
-    from scipy import stats
-
     densities = [stats.multivariate_t(p.centre, p.scale, FREEDOM).logpdf(points) for p in parts]
     return np.column_stack(densities) + np.log([part.weight for part in parts])
 
@@ -260,55 +245,14 @@ def drawn(parts: list[Component], count: int, rng: np.random.Generator) -> np.nd
     return rng.permutation(np.concatenate(points))
 
 
-def weighed(points: np.ndarray, values: np.ndarray, parts: list[Component]) -> Sample:
-    """
-    Return points weighed by what was drawn there: density over that of all proposals together.
-
-    `values` are logarithms of the posterior's density. A component's weight is the number of points
-    that it proposed, so that rounds add up to one mixture ([C]: no round is chosen for its luck).
-    """
-    proposed = special.logsumexp(log_parts(points, parts), axis=1)
-    log_weights, k_hat = smoothed(np.where(np.isfinite(values), values - proposed, -1e300))
-    weights = np.exp(log_weights - log_weights.max())
-    weights /= weights.sum()
-    return Sample(points, weights, k_hat, float(1.0 / np.sum(weights**2)))
-
-
-def fitted_mixture(sample: Sample, count: int, rng: np.random.Generator) -> list[Component]:
-    """Return a mixture of so many parts that resembles a weighted sample (EM, shrunk scales)."""
+def adapted(sample: Sample) -> Component:
+    """Return a proposal of a weighted sample's mean and covariance, a little wide."""
     weights = np.maximum(sample.weights, 1e-300)
     while 1.0 / np.sum(weights**2) < LEVEL:  # few points carry all weight: level them
         weights = weights**0.6
         weights /= weights.sum()
-    kept = weights > 1e-4 * weights.max()
-    points = sample.points[kept]
-    weights = weights[kept] / weights[kept].sum()
-    size = points.shape[1]
-    mean = weights @ points
-    overall = np.cov(points.T, aweights=weights) + 1e-6 * np.eye(size)
-    if count == 1:
-        return [Component(1.0, mean, 1.1 * overall)]
-    effective = 1.0 / np.sum(weights**2)
-    first = rng.choice(len(points), count, p=weights, replace=False)
-    parts = [Component(1.0 / count, points[k], overall) for k in first]
-    for _ in range(8):
-        shares = special.softmax(log_parts(points, parts), axis=1) * weights[:, None]
-        parts = [_refitted(points, share, overall, effective) for share in shares.T]
-    return [Component(part.weight, part.centre, 1.1 * part.scale) for part in parts]
-
-
-def _refitted(
-    points: np.ndarray, share: np.ndarray, overall: np.ndarray, effective: float
-) -> Component:
-    """Return one part of a mixture from its share of every point's weight."""
-    weight = share.sum() + 1e-3
-    each = share / share.sum()
-    centre = each @ points
-    apart = points - centre
-    size = points.shape[1]
-    shrink = 2.0 * size / (2.0 * size + effective * weight)
-    scale = (1.0 - shrink) * (apart.T * each) @ apart + shrink * overall
-    return Component(float(weight), centre, scale + 1e-6 * np.eye(size))
+    scale = np.cov(sample.points.T, aweights=weights) + 1e-6 * np.eye(sample.points.shape[1])
+    return Component(1.0, weights @ sample.points, 1.1 * scale)
 
 
 def resampled(sample: Sample, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -318,20 +262,17 @@ def resampled(sample: Sample, count: int, rng: np.random.Generator) -> np.ndarra
     return sample.points[rng.permutation(rows)]
 
 
-# --- sample_posterior ----------------------------------------------------------------------------
+# --- the sampler ----------------------------------------------------------------------------------
 
-# Ascents, and how far below the highest another maximum may lie: odds of e¹² to 1.
-ASCENTS = 3
-LOWER = 12.0
-
-# A sample is good if k̂ says so and it is worth at least so many independent draws.
+# A sample is good if k̂ says so and it is worth at least so many independent draws; proposals are
+# adapted until it is worth more.
 FEWEST = 1000.0
+ENOUGH = 2000.0
 
-# Points that are weighed first, and in each round of adaptation; parts of the mixtures of rounds:
-# first a single hill's true shape, then several for one that is bent.
+# Points that are weighed first, and in each round of adaptation; how many of these.
 POINTS = 4000
 MORE_POINTS = 8000
-ROUNDS = (1, 3, 3, 5)
+ROUNDS = 6
 
 # Walkers keep one of so many steps. After each round of kept steps it is asked whether they have
 # gone for enough autocorrelation times, until there are the most.
@@ -339,6 +280,106 @@ STEPS = 10
 ROUND = 200
 MOST_KEPT = 2000
 LENGTHS = 50
+
+
+def proposals(tops: list[Top]) -> list[Component]:
+    """Return a part for each maximum, a little wide, and one along the weakest directions."""
+    highest = tops[0]
+    parts = []
+    for top in tops:
+        log_volume = np.linalg.slogdet(top.covariance).logabsdet
+        weight = np.exp(top.value - highest.value + 0.5 * log_volume)
+        parts.append(Component(weight, top.x, 1.15 * top.covariance))
+    # A hill falls off more slowly than its top's curvature says where data tell least: three
+    # directions are stretched to six times the variance, within one and a half prior variances.
+    values, vectors = np.linalg.eigh(highest.covariance)
+    values[-3:] = np.maximum(np.minimum(6.0 * values[-3:], 1.5), values[-3:])
+    total = sum(part.weight for part in parts)
+    return [*parts, Component(0.3 * total, highest.x, (vectors * values) @ vectors.T)]
+
+
+def sample_target(
+    target: Target, tops: list[Top], rng: np.random.Generator, count: int = POINTS
+) -> tuple[Sample, str]:
+    """
+    Sample a posterior from its maxima: return a weighted sample, and how it was made.
+
+    Proposals are adapted where weights are bad, and walkers come last. A part of a mixture weighs
+    as many points as it proposed, so that rounds add up to one mixture ([C]: no round is chosen for
+    its luck).
+    """
+    mixture = proposals(tops)
+    wide = mixture[-1]._replace(weight=0.1)
+    points, values = np.empty((0, wide.centre.size)), np.empty(0)
+    proposed: list[Component] = []
+    for turn in range(1 + ROUNDS):
+        more = drawn(mixture, count, rng)
+        points = np.concatenate([points, more])
+        values = np.concatenate([values, densities(more, target)])
+        total = sum(part.weight for part in mixture)
+        proposed += [part._replace(weight=count * part.weight / total) for part in mixture]
+        log_weights = values - special.logsumexp(log_parts(points, proposed), axis=1)
+        sample = weighed(points, log_weights)
+        good = sample.k_hat <= MOST_K and sample.effective >= FEWEST
+        if good and (sample.effective >= ENOUGH or turn == ROUNDS):
+            return sample, "adapted mixture" if turn else "importance"
+        mixture, count = [adapted(sample), wide], MORE_POINTS
+    return walked(target, sample, rng), "ensemble"
+
+
+def walked(target: Target, sample: Sample, rng: np.random.Generator) -> Sample:
+    """
+    Return points of emcee's walkers, which begin at draws of a weighted sample.
+
+    They stretch ([G] Section 2) and do nothing else: differences of walkers as moves left a
+    posterior a fifth too narrow, and no diagnostic told. The model's coordinates alone judge how
+    far they have gone. Those of the noise may wait long for another explanation that data hardly
+    tell apart: slow noise so quick that it is white. The model does not depend on it.
+    """
+    import emcee
+
+    size = sample.points.shape[1]
+    count = 2 * size + 4
+    # A draw of great weight comes many times, and walkers must lie apart.
+    points = resampled(sample, 10 * count, rng)
+    points = points + 0.01 * rng.standard_normal(points.shape)
+    begin = points[np.isfinite(densities(points, target))][:count]
+    sampler = emcee.EnsembleSampler(
+        count,
+        size,
+        densities,
+        moves=emcee.moves.StretchMove(),
+        args=[target],
+        vectorize=True,
+    )
+    # emcee draws from a state of its own, which would be another one each time.
+    sampler.random_state = np.random.MT19937(int(rng.integers(2**63))).state
+    enough = False
+    while not enough and sampler.iteration < MOST_KEPT:
+        begin = sampler.run_mcmc(begin, ROUND, thin_by=STEPS)
+        settled = sampler.get_chain(discard=sampler.iteration // 3)
+        time = _autocorrelation_time(settled[:, :, :SHARED])
+        enough = len(settled) > LENGTHS * time
+    thin = settled[:: max(1, int(time / 4.0))].reshape(-1, size)
+    weights = np.full(len(thin), 1.0 / len(thin))
+    # There are no weights whose tail could be long; short chains are marked as bad weights are.
+    return Sample(thin, weights, 0.0 if enough else np.inf, len(settled) * count / time)
+
+
+def _autocorrelation_time(chains: np.ndarray) -> float:
+    """Return the longest autocorrelation time of coordinates, shape (steps, walkers, size)."""
+    import emcee
+
+    # 0/0 where a walker never moved: an unknown time is as long as the chain.
+    with np.errstate(invalid="ignore"):
+        within = emcee.autocorr.integrated_time(chains, tol=0)
+        # emcee takes each walker's own mean, so that walkers that stay apart look quick; their
+        # means vary by the time over the steps.
+        between = len(chains) * chains.mean(axis=0).var(axis=0) / chains.var(axis=(0, 1))
+    return float(np.nan_to_num(np.maximum(within, between), nan=len(chains)).max())
+
+
+# --- sample_posterior ----------------------------------------------------------------------------
 
 
 def sample_posterior(
@@ -414,16 +455,20 @@ def sample_posterior(
     target = target_of(optima[0], prior, log)
     rng = np.random.default_rng(whole_seed(seed))
     sample, method = sample_target(target, tops_of(target, optima), rng, max(POINTS, 4 * n))
-    thetas = to_thetas(resampled(sample, n, rng), target)
-    step = runs[0].step
+    thetas = evaluated(resampled(sample, n, rng), target)[0]
+    unused = [] if DELAY in target.free else ["mode_delay"]
+    draws, before = (
+        physical(rows, runs[0].step).drop(columns=unused)
+        for rows in (thetas, prior_thetas(target, 4000, rng))
+    )
     return Posterior(
-        draws=_columns(thetas, target, step),
-        prior_draws=_columns(prior_thetas(target, 4000, rng), target, step),
+        draws=draws,
+        prior_draws=before,
         prior=prior,
-        k_hat=float(sample.k_hat),
+        k_hat=sample.k_hat,
         effective=sample.effective,
         method=method,
-        whiteness=_whiteness(thetas.mean(axis=0), target.blocks),
+        whiteness=_whiteness(thetas.mean(axis=0), target),
         labels=tuple(run.label for run in runs),
         synthetic=any(run.synthetic for run in runs),
         thetas=thetas,
@@ -439,35 +484,26 @@ def target_of(optimum: Optimum, prior: Prior, log: LogSettings) -> Target:
     a window or in the values, whichever is more likely.
     """
     runs = optimum.problem.runs
-    mean, deviation, whitening = prior.vectors(len(runs))
     stamp_error = max(run.stamp_error for run in runs)
-    delayed = log.mode_delay or stamp_error > 0.0
-    if delayed and not log.mode_delay:
-        deviation[DELAY] = stamp_error
-        whitening[DELAY, DELAY] = 1.0 / stamp_error
-    free = np.delete(np.arange(mean.size), [] if delayed else [DELAY])
+    if stamp_error > 0.0 and not log.mode_delay:
+        prior = replace(prior, mode_delay=(0.0, stamp_error))
+    mean, deviation, whitening = prior.vectors(len(runs))
+    fixed = [] if log.mode_delay or stamp_error > 0.0 else [DELAY]
+    free = np.delete(np.arange(mean.size), fixed)
     return Target(blocks_of(optimum.problem), mean, deviation, whitening, free)
 
 
 def prior_thetas(target: Target, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Return draws of the prior that make a model."""
-    factor = np.linalg.inv(target.whitening)
-    thetas: list[np.ndarray] = []
-    while len(thetas) < count:
-        z = np.zeros((count, target.mean.size))
-        z[:, target.free] = rng.standard_normal((count, target.free.size))
-        thetas += filter(admissible, target.mean + z @ factor.T)
-    return np.array(thetas[:count])
+    """Return those of so many draws of the prior that make a model."""
+    z = np.zeros((count, target.mean.size))
+    z[:, target.free] = rng.standard_normal((count, target.free.size))
+    thetas = target.mean + z @ np.linalg.inv(target.whitening).T
+    return thetas[admissible(thetas)]
 
 
-def _columns(thetas: np.ndarray, target: Target, step: float):
-    """Return draws in their own units, without a delay that is not estimated."""
-    table = physical(thetas, step)
-    return table if DELAY in target.free else table.drop(columns="mode_delay")
-
-
-def _whiteness(theta: np.ndarray, blocks: Blocks) -> dict[str, float]:
+def _whiteness(theta: np.ndarray, target: Target) -> dict[str, float]:
     """Return the p value of the Ljung–Box test of each output's prediction errors."""
+    blocks = target.blocks
     scaled = np.empty(blocks.measured.shape)
     innovations(theta, blocks, simulate(theta, blocks), scaled)
     runs = [slice(*ends) for ends in itertools.pairwise(blocks.first_block)]
@@ -475,119 +511,3 @@ def _whiteness(theta: np.ndarray, blocks: Blocks) -> dict[str, float]:
         name: whiteness_p([errors[run][known[run]] for run in runs])
         for name, errors, known in zip(OUTPUTS, scaled, blocks.known, strict=True)
     }
-
-
-# --- the sampler ----------------------------------------------------------------------------------
-
-
-def good(sample: Sample) -> bool:
-    """Return whether weights may be trusted as far as they tell."""
-    return sample.k_hat <= MOST_K and sample.effective >= FEWEST
-
-
-def tops_of(target: Target, optima: list[Optimum]) -> list[Top]:
-    """Return the maxima that ascents from a fit's optima reach, the highest first."""
-    climbed = [climb(x, target) for x in starting_points(target, optima)[:ASCENTS]]
-    climbed.sort(key=lambda top: -top.value)
-    tops: list[Top] = []
-    for top in climbed:
-        # Outside of the hills of higher ones.
-        steps = [(top.x - other.x, other.covariance) for other in tops]
-        apart = all(step @ np.linalg.solve(hill, step) > 4.0 for step, hill in steps)
-        if top.value > climbed[0].value - LOWER and apart:
-            tops.append(top)
-    return tops
-
-
-def proposals(tops: list[Top]) -> list[Component]:
-    """Return a part for each maximum, a little wide, and one along the weakest directions."""
-    highest = tops[0]
-    parts = []
-    for top in tops:
-        log_volume = np.linalg.slogdet(top.covariance).logabsdet
-        weight = np.exp(top.value - highest.value + 0.5 * log_volume)
-        parts.append(Component(weight, top.x, 1.15 * top.covariance))
-    # A hill falls off more slowly than its top's curvature says where data tell least: three
-    # directions are stretched to six times the variance, within one and a half prior variances.
-    values, vectors = np.linalg.eigh(highest.covariance)
-    values[-3:] = np.maximum(np.minimum(6.0 * values[-3:], 1.5), values[-3:])
-    total = sum(part.weight for part in parts)
-    return [*parts, Component(0.3 * total, highest.x, (vectors * values) @ vectors.T)]
-
-
-def sample_target(
-    target: Target, tops: list[Top], rng: np.random.Generator, count: int = POINTS
-) -> tuple[Sample, str]:
-    """
-    Sample a posterior from its maxima: return a weighted sample, and how it was made.
-
-    Proposals are adapted where weights are bad, and walkers come last.
-    """
-    mixture = proposals(tops)
-    wide = mixture[-1]._replace(weight=0.1)
-    points, values = np.empty((0, wide.centre.size)), np.empty(0)
-    proposed: list[Component] = []
-    for parts in (*ROUNDS, None):
-        more = drawn(mixture, count, rng)
-        points = np.concatenate([points, more])
-        values = np.concatenate([values, densities(more, target)])
-        total = sum(part.weight for part in mixture)
-        proposed += [part._replace(weight=count * part.weight / total) for part in mixture]
-        sample = weighed(points, values, proposed)
-        if good(sample):
-            return sample, "importance" if len(points) == count else "adapted mixture"
-        if parts:
-            mixture, count = [*fitted_mixture(sample, parts, rng), wide], MORE_POINTS
-    return walked(target, sample, rng), "ensemble"
-
-
-def walked(target: Target, sample: Sample, rng: np.random.Generator) -> Sample:
-    """
-    Return points of emcee's walkers, which begin at draws of a weighted sample.
-
-    They stretch ([G] Section 2) and do nothing else: differences of walkers as moves left a
-    posterior a fifth too narrow, and no diagnostic told. The model's coordinates alone judge how
-    far they have gone. Those of the noise may wait long for another explanation that data hardly
-    tell apart: slow noise so quick that it is white. The model does not depend on it.
-    """
-    import emcee
-
-    size = sample.points.shape[1]
-    count = 2 * size + 4
-    # A draw of great weight comes many times, and walkers must lie apart.
-    points = resampled(sample, 10 * count, rng)
-    points = points + 0.01 * rng.standard_normal(points.shape)
-    begin = points[np.isfinite(densities(points, target))][:count]
-    sampler = emcee.EnsembleSampler(
-        count,
-        size,
-        densities,
-        moves=emcee.moves.StretchMove(),
-        args=[target],
-        vectorize=True,
-    )
-    # emcee draws from a state of its own, which would be another one each time.
-    sampler.random_state = np.random.MT19937(int(rng.integers(2**63))).state
-    enough = False
-    while not enough and sampler.iteration < MOST_KEPT:
-        begin = sampler.run_mcmc(begin, ROUND, thin_by=STEPS)
-        settled = sampler.get_chain(discard=sampler.iteration // 3)
-        time = _autocorrelation_time(settled[:, :, :SHARED])
-        enough = len(settled) > LENGTHS * time
-    thin = settled[:: max(1, int(time / 4.0))].reshape(-1, size)
-    weights = np.full(len(thin), 1.0 / len(thin))
-    # There are no weights whose tail could be long; short chains are marked as bad weights are.
-    return Sample(thin, weights, 0.0 if enough else np.inf, len(settled) * count / time)
-
-
-def _autocorrelation_time(chains: np.ndarray) -> float:
-    """Return the longest autocorrelation time of coordinates, shape (steps, walkers, size)."""
-    import emcee
-
-    # 0/0 where a walker never moved: an unknown time is as long as the chain.
-    with np.errstate(invalid="ignore"):
-        within = emcee.autocorr.integrated_time(chains, tol=0)
-        # emcee takes each walker's own mean, so that walkers that stay apart look quick; their
-        # means vary by the time over the steps.
-        between = len(chains) * chains.mean(axis=0).var(axis=0) / chains.var(axis=(0, 1))
-    return float(np.nan_to_num(np.maximum(within, between), nan=len(chains)).max())
