@@ -56,6 +56,15 @@ def test_coverage_of_the_true_model_is_nominal():
     assert row["coverage"].item() == pytest.approx(0.9, abs=0.04)
 
 
+def test_coverage_at_the_ends_of_the_scale_is_that_of_what_is_rounded_to_them():
+    """
+    A third of these answers is an end of the scale: by itself an end lies outside of most of Beta's
+    intervals (coverage .625), and what is rounded to it inside.
+    """
+    table = tl.compare_trust_models(tl.read_people("trust_transfer"), ["beta"]).table()
+    assert 0.9 < table["coverage"].item() < 0.98
+
+
 def test_models_that_differ_are_told_apart_and_models_that_nest_less():
     panel = tl.read_people("hybrid_vr")
     shares = recover_trust_models(panel, ["performance", "beta", "persistence"], n=1)
