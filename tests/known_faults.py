@@ -123,9 +123,6 @@ KNOWN = {
     "estimate_thresholds": {
         "sessions": "foreign errors",
     },
-    "feasibility": {
-        "explain": "foreign errors, anything is taken, no difference",
-    },
     "fit": {
         "guess": "foreign errors",
     },

@@ -307,7 +307,7 @@ def corrections():
 
 def printed_numbers():
     """Return what printed statistics allow; which data are found depends on the processor."""
-    return tl.feasibility(tl.published_studies()["uav.tlx"], explain=False).table()
+    return tl.feasibility(tl.published_studies()["uav.tlx"]).table()
 
 
 def limits():

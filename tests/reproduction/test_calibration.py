@@ -126,7 +126,7 @@ def test_effects_beyond_all_simulations_are_said_to_be_out_of_reach():
 
 
 def test_more_checks_than_the_posterior_has_draws_are_refused():
-    with pytest.raises(ValueError, match="studies must be .*600"):
+    with pytest.raises(ValueError, match=r"studies must be .*600"):
         made_up({}).checks(studies=5000)
 
 

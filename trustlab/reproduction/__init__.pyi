@@ -27,12 +27,9 @@ from .published_study import (
 )
 from .reconstruction.feasibility import (
     Feasibility as Feasibility,
-    compare_adjustments as compare_adjustments,
     feasibility as feasibility,
 )
 from .reconstruction.reconstruction import (
-    Reconstruction as Reconstruction,
     ReconstructionError as ReconstructionError,
     reconstruct as reconstruct,
-    reconstruct_study as reconstruct_study,
 )
