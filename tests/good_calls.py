@@ -150,8 +150,6 @@ NOT_WALKED = {
     "publishing.only_parameters": "reads the names of a notebook",
     "publishing.required_data": "needs data that are not shipped",
     "publishing.use_house_style": "changes all figures that follow",
-    "reproduction.plot_ranges": "for one chapter",
-    "reproduction.verdict_counts": "for one chapter",
     "reproduction.write_calibration": "for the script that makes the stored calibrations",
     "ros.measures_table": "needs a run of a robot",
     "ros.read_run": "needs a run of a robot",

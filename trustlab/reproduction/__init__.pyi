@@ -1,8 +1,4 @@
-from .audit.audit import (
-    audit as audit,
-    plot_ranges as plot_ranges,
-    verdict_counts as verdict_counts,
-)
+from .audit.audit import audit as audit
 from .calibration import (
     Calibration as Calibration,
     calibrate as calibrate,
