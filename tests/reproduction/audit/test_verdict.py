@@ -23,7 +23,8 @@ def test_a_range_holds_every_point_of_the_box(a, b, c):
     def compute(v):
         return (v.a * v.b + v.c) / (v.b + v.c)
 
-    numbers = {name: number(name, str(text)) for name, text in zip("abcx", (a, b, c, 1), strict=True)}
+    texts = {"a": a, "b": b, "c": c, "x": 1}
+    numbers = {name: number(name, str(text)) for name, text in texts.items()}
     follows = Follows("x", "", compute, ids={name: name for name in "abc"})
     place = place_of(follows, numbers)
     value, low, high = follows.range(place)

@@ -9,7 +9,7 @@ from functools import cache
 
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, of_class, shown
+from trustlab.models.checks import did_you_mean, shown
 from trustlab.reproduction.printed import half_unit, printed_interval
 from trustlab.reproduction.published import (
     printed_pilot,
@@ -145,8 +145,9 @@ def statements() -> list[tuple[str, ...]]:
 
 
 def _statements() -> Iterator[PrintedNumber]:
-    for *about, printed, reading, _, _ in statements():
-        yield PrintedNumber(*about, printed, exact=printed.isdecimal() and not reading)
+    for id, where, statement, printed, reading, _, _ in statements():
+        exact = printed.isdecimal() and not reading
+        yield PrintedNumber(id, where, statement, printed, exact)
 
 
 @cache
@@ -174,8 +175,8 @@ def printed_numbers(changes: Mapping[str, str] | None = None) -> dict[str, Print
 
     `changes` puts other values in place of printed ones, by id.
     """
-    if changes is not None:
-        of_class("changes", changes, Mapping, "ids and texts, as {'table_2.1/a_r/1': '0.9992'}")
+    if changes is not None and not isinstance(changes, Mapping):
+        raise ValueError(f"changes must map ids to texts of numbers, got {shown(changes)}")
     numbers = dict(_all_numbers())
     for id, text in (changes or {}).items():
         numbers[id] = _changed(numbers, id, text)

@@ -86,7 +86,7 @@ class Place:
 
     def where(self, symbol: str, ids: Mapping[str, str]) -> dict[str, str]:
         """Return the id of a symbol, or by x_1, x_2 … those of several."""
-        pattern = (self.ids | ids).get(symbol, "").replace("./", self.folders[0], 1)
+        pattern = {**self.ids, **ids}.get(symbol, "").replace("./", self.folders[0], 1)
         if not pattern:
             name = f"{LETTERS.get(symbol, symbol)}{self.end}"
             beside = [id for x in self.folders if (id := f"{x}{name}") in self.numbers]

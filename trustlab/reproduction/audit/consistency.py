@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction
+from functools import partial
 from itertools import combinations
 from statistics import mode
 from types import SimpleNamespace
@@ -43,7 +44,7 @@ MOST_ITEMS = 40
 MEAN = re.compile(r"(table_2\.[45]|table_3\.1)/(\w+)/(\w+)_mean|(.+)/mean\.(\w+)")
 
 # A function that computes all outputs from inputs.
-Reading = Callable[[Any], dict]
+Reading = Callable[..., dict]
 
 
 def least_misfit(
@@ -120,6 +121,11 @@ def joint_row(
     )
 
 
+def bounds_and_limits(v: Any, gain: float, b_pr: float | None = None) -> dict:
+    """Return the bounds of Table 2.2, and the limits of Table 2.1 by a gain."""
+    return bounds(v, b_pr) | limits(v, gain)
+
+
 def joint_rows(numbers: Numbers, checked: Mapping[str, Row]) -> Iterator[Row]:
     """
     Return, for every participant, whether limits and bounds fit: the limits of Table 2.1, unless
@@ -127,33 +133,31 @@ def joint_rows(numbers: Numbers, checked: Mapping[str, Row]) -> Iterator[Row]:
     """
     for p in PARTICIPANTS:
         gain = numbers[f"table_2.1/b_pr/{p}"].value
-        fit = False
+        inputs: tuple[str, ...] = RATE_INPUTS
+        outputs: tuple[str, ...] = BOUNDS
+        compute: Reading = bounds
         if checked[f"table_2.1/TSC_ub/{p}"].verdict != "differs":
             # b_pr as printed, then by (2.3).
-            readings: list[Reading] = [lambda v, gain=gain: limits(v, gain), limits]
-            row = joint_row(numbers, p, LIMIT_INPUTS, LIMITS, *readings)
-            fit = row.verdict == "within rounding"
+            row = joint_row(numbers, p, LIMIT_INPUTS, LIMITS, partial(limits, b_pr=gain), limits)
             yield row
-
-        def all_of(v: Any, b_pr: float | None, gain: float = gain, fit: bool = fit) -> dict:
-            return bounds(v, b_pr) | (limits(v, gain) if fit else {})
-
+            if row.verdict == "within rounding":
+                inputs, outputs = (*inputs, "delta_P_h"), (*outputs, *LIMITS)
+                compute = partial(bounds_and_limits, gain=gain)
         # c of (2.20) as it is, then as b_pr P_h/(1 − a_pr) with b_pr as printed.
-        readings = [lambda v, f=all_of: f(v, None), lambda v, f=all_of, b=gain: f(v, b)]
-        more = (("delta_P_h",), LIMITS) if fit else ((), ())
-        yield joint_row(numbers, p, RATE_INPUTS + more[0], BOUNDS + more[1], *readings)
+        yield joint_row(numbers, p, inputs, outputs, compute, partial(compute, b_pr=gain))
 
 
 def study_conflicts(numbers: Numbers) -> dict[str, str]:
     """Return numbers of studies that others contradict however p was adjusted, with the reason."""
     conflicts = {}
     for name, study in published_studies().items():
-        texts = {
+        texts: dict[str, Any] = {
             key: {part: numbers[f"{name}/{key}.{part}"].printed for part in getattr(study, key)}
             for key in PRINTED
         }
-        n, epsilon = numbers[f"{name}/n"], study.epsilon and numbers[f"{name}/epsilon"].printed
-        again = replace(study, n=int(n.value), epsilon=epsilon, **texts)
+        texts["n"] = int(numbers[f"{name}/n"].value)
+        texts["epsilon"] = study.epsilon and numbers[f"{name}/epsilon"].printed
+        again = replace(study, **texts)
         first, *rest = (contradictions(again, p_adjust) for p_adjust in ADJUSTMENTS)
         for statistic, reason in first.items():
             if all(statistic in other for other in rest):

@@ -571,14 +571,20 @@ SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
 RANKED = (("error", -1), ("tlx", -1), ("trust", 1), ("preference", 1))
 
 
+def rank_of(scheme: str, sign: int) -> Callable[[Any], np.ndarray]:
+    """Return how a scheme's rank among all is computed, 1 for the best."""
+    i = SCHEMES.index(scheme)
+    return lambda v: 1.0 + (sign * v.x > sign * v.x[i]).sum(axis=0)
+
+
 RANKS = tuple(
     Follows(
         f"section_3_8_3/{scheme}_{measure}",
         f"rank of {scheme}, the best first",
-        lambda v, i=i, sign=sign: 1.0 + (sign * v.x > sign * v.x[i]).sum(axis=0),
+        rank_of(scheme, sign),
         ids={"x": f"table_3.1/*/{measure}_mean"},
     )
-    for i, scheme in enumerate(SCHEMES)
+    for scheme in SCHEMES
     for measure, sign in RANKED
 )
 
