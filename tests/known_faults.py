@@ -279,13 +279,6 @@ KNOWN = {
         "session": "foreign errors",
         "axes": "foreign errors",
     },
-    "trust.panel_from_table": {
-        "table": "foreign errors",
-        "low": "foreign errors",
-        "high": "foreign errors",
-        "source": "anything is taken",
-        "cautions": "anything is taken",
-    },
     "trust.parameter": {
         "default": "anything is taken",
         "low": "anything is taken",

@@ -27,7 +27,6 @@ from scipy.spatial import KDTree
 
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import between, in_order, one_of, shown, whole_number
-from trustlab.models.digest import room_digest
 from trustlab.models.display import Result
 from trustlab.models.files import write_atomically
 from trustlab.reproduction.effects import (
@@ -62,8 +61,6 @@ TELEOPERATOR_PRIORS = {
 
 # Simulations for every coefficient of the regression, at the least.
 LEAST_PER_COEFFICIENT = 2
-# Measures that are answered only where a workload is assumed.
-ANSWERS = ("tlx", "satisfaction", "trust")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,12 +101,6 @@ class Calibration(Result):
     def observed(self) -> list[Effect]:
         """The printed effects that simulated studies have."""
         return [effect for effect in observed_effects(self.study) if effect.id in self.simulations]
-
-    def _beside(self, measures: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the simulated effects, a row each study, and the printed ones of some measures."""
-        chosen = [effect for effect in self.observed if effect.measure in measures]
-        simulated = self.simulations[[effect.id for effect in chosen]].to_numpy(float)
-        return simulated, np.array([effect.printed for effect in chosen])
 
     @property
     def assumptions(self) -> dict[str, float]:
@@ -179,7 +170,8 @@ class Calibration(Result):
         """
         rows = []
         for measures in dict.fromkeys([*((name,) for name in self.measures), self.measures]):
-            values, printed = self._beside(measures)
+            chosen = [effect for effect in self.observed if effect.measure in measures]
+            values, printed = beside(chosen, self.simulations)
             scale = np.maximum(values.std(axis=0), 1e-12)
             tree = KDTree(values / scale)
             nearest, _ = tree.query(printed / scale)
@@ -322,9 +314,7 @@ def calibrate(
     ranges = checked_priors(usual if priors is None else priors)
     simulations = whole_number("simulations", simulations)
     seed = whole_number("seed", seed, least=0)
-    answered = study in TELEOPERATION or any(name.startswith("load") for name in ranges)
-    sure = [effect for effect in effects if answered or effect.measure not in ANSWERS]
-    _check_enough(simulations, len(sure))
+    _check_enough(simulations, len(effects))
     runs = [{"study": study, "n": n} | draw for draw in prior_draws(ranges, simulations, seed)]
     done = run_campaign(simulated_study, runs, seed=seed, n_jobs=n_jobs, out=out, progress=progress)
     whole = done[~done["failed"].to_numpy(bool)]
@@ -366,20 +356,22 @@ def calibrated(
     for name in measures:
         one_of("a measure", name, known)
     chosen = [effect for effect in observed if effect.measure in measures]
-    sample, beyond = posterior_sample(
-        simulations[list(ranges)],
-        simulations[[effect.id for effect in chosen]].to_numpy(float),
-        np.array([effect.printed for effect in chosen]),
-        ranges,
-    )
+    drawn = simulations[list(ranges)]
+    sample, beyond = posterior_sample(drawn, *beside(chosen, simulations), ranges)
     extrapolated = tuple(name for name, is_so in zip(ranges, beyond, strict=True) if is_so)
     return Calibration(study, ranges, simulations, measures, sample, extrapolated, settings)
 
 
+def beside(effects: list[Effect], simulations: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Return simulated effects, a row each study, and the printed ones."""
+    simulated = simulations[[effect.id for effect in effects]].to_numpy(float)
+    return simulated, np.array([effect.printed for effect in effects])
+
+
 def write_calibration(calibration: Calibration, folder: str | os.PathLike) -> None:
     """
-    Write a calibration's simulated studies to a folder: <study>.csv, and <study>.json with priors,
-    settings and source digest.
+    Write a calibration's simulated studies to a folder: <study>.csv, and <study>.json with priors
+    and settings.
 
     Parameters
     ----------
@@ -395,7 +387,6 @@ def write_calibration(calibration: Calibration, folder: str | os.PathLike) -> No
         "priors": calibration.priors,
         "settings": calibration.settings,
         "origin": "simulated operators",
-        "source_digest": room_digest("reproduction"),
     }
     path = place / calibration.study
     write_atomically(f"{path}.json", json.dumps(about, indent=1) + "\n")
