@@ -297,7 +297,7 @@ COVERED = {("memory_bias", "rating_sd"): 0.84}
 def test_intervals_cover_as_they_say(name):
     """docs/how_to/trust.md says how often; a parameter's range without an interval covers."""
     truth = coordinates_of(MODELS[name](**TRUTH[name]))
-    runs = 30 if name == "optimo" else 100
+    runs = 12 if name == "optimo" else 40
     hits = []
     for seed in range(runs):
         people = panel(60, seed=seed, resolution=0.01)

@@ -286,9 +286,10 @@ def _end(loss: Loss, centre: np.ndarray, held: int, edge: float) -> float:
     @cache
     def fall(place: float) -> float:
         """Return the root of twice the fall of the log-likelihood, less that at an end."""
-        starts = np.clip([centre, best], -STEEP, STEEP)
-        starts[:, held] = place
-        best[:], reached = min((optimum(loss, x, held) for x in starts), key=lambda each: each[1])
+        # From the centre and from the last search: by itself each can end in a plain.
+        points = np.clip([centre, best], -STEEP, STEEP)
+        points[:, held] = place
+        best[:], reached = min((optimum(loss, x, held) for x in points), key=lambda each: each[1])
         return np.sqrt(2.0 * max(reached - least, 0.0)) - FALL
 
     inner, step = centre[held], np.copysign(0.25, edge)
