@@ -29,6 +29,9 @@ STEP = 1e-3
 EDGE = 9.0
 # The root of twice the fall of the log-likelihood at the ends of a 95 % interval.
 FALL = 1.96
+# When a search ends: of a fit, whose digits count, and of the other coordinates at an end.
+FINE = {"ftol": 1e-15, "gtol": 1e-6}
+COARSE = {"ftol": 1e-7, "gtol": 1e-2}
 # Farther from 0 the loss may be too flat for a search to begin.
 STEEP = 4.0
 # How near to an end of an interval, in its coordinate.
@@ -262,7 +265,7 @@ def optimum(loss: Loss, start: np.ndarray, held: int | None = None) -> tuple[np.
         jac=True,
         method="L-BFGS-B",
         bounds=bounds,
-        options={"ftol": 1e-10, "gtol": 1e-4} if held is None else {"ftol": 1e-7, "gtol": 1e-2},
+        options=COARSE if held is not None else FINE,
     )
     return found.x, float(found.fun)
 
