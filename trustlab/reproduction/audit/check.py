@@ -312,9 +312,7 @@ class Allows(Formula, Relation):
         ends = f"{show(low)} to {show(high)}"
         least, most = number.compatible
         verdict = "not checkable"
-        reason = f"Not determined by other printed numbers, which allow it from {ends}."
-        if self.binding:
-            reason = f"Not determined by other printed numbers; their limits are from {ends}."
+        reason = f"Not determined by other printed numbers; their limits are from {ends}."
         if most < low or least > high:
             reason = f"{self.binding} Other printed numbers give from {ends}."
             if not self.binding:

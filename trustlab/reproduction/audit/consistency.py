@@ -250,9 +250,9 @@ def remarks(numbers: Numbers, conflicts: Mapping[str, str]) -> Iterator[Row]:
             remark = "most of its kind have another bound; probably a zero is missing."
             yield row_about(numbers[id], f"Suspicious: {remark}")
     for first, second in combinations(study_names(numbers), 2):
-        chi2, p, f_ratio = (
-            [numbers.get(f"{study}/{name}") for study in (first, second)]
-            for name in ("mauchly.chi2", "mauchly.p", "anova.F")
+        chi2, p = (
+            [numbers.get(f"{study}/mauchly.{name}") for study in (first, second)]
+            for name in ("chi2", "p")
         )
         if _same(*chi2) and _same(*p):
             number = chi2[1]
@@ -264,9 +264,6 @@ def remarks(numbers: Numbers, conflicts: Mapping[str, str]) -> Iterator[Row]:
                 f"in {1.0 / chance:.0f}. Probably one was copied from the other."
             )
             yield row_about(number, reason, id=f"{number.id}/duplicate")
-        if _same(*f_ratio):
-            reason = f"Suspicious: the same F is printed for {first}."
-            yield row_about(f_ratio[1], reason, id=f"{f_ratio[1].id}/duplicate")
 
 
 def _same(first: PrintedNumber | None, second: PrintedNumber | None) -> bool:

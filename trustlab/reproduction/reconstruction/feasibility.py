@@ -2,14 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 import numpy as np
 import pandas as pd
 
 from trustlab.models.checks import of_class, one_of, whole_number
 from trustlab.models.display import Result
-from trustlab.reproduction.published_study import PublishedStudy, published_studies
+from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, constraints
 from trustlab.reproduction.reconstruction.contradictions import contradictions, reading_of
 from trustlab.reproduction.reconstruction.moments import MomentProblem, Moments
@@ -129,19 +128,10 @@ def feasibility(study: PublishedStudy, p_adjust: str = "bonferroni", seed: int =
     >>> answer.feasible, answer.left_out
     (True, {})
     """
-    check_study(study)
+    of_class("study", study, PublishedStudy)
     one_of("p_adjust", p_adjust, ADJUSTMENTS)
     rng = np.random.default_rng(whole_number("seed", seed, least=0))
     left_out = contradictions(study, p_adjust)
     rows = [s for s in constraints(study) if s.name not in left_out]
     problem = MomentProblem(study, reading_of(study), p_adjust, rows)
     return Feasibility(problem, left_out, problem.solve(rng))
-
-
-def check_study(study: object) -> None:
-    """Refuse what is no printed study; a name is answered with where the study is."""
-    hint = ""
-    if isinstance(study, str):
-        near = get_close_matches(study, published_studies(), n=1) or ["uav.tlx"]
-        hint = f"a printed one is published_studies()[{near[0]!r}]"
-    of_class("study", study, PublishedStudy, hint)

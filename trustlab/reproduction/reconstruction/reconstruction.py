@@ -10,14 +10,11 @@ everything made from them says so.
 import numpy as np
 import pandas as pd
 
+from trustlab.models.checks import of_class
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS
 from trustlab.reproduction.reconstruction.contradictions import contradictions
-from trustlab.reproduction.reconstruction.feasibility import (
-    Feasibility,
-    check_study,
-    feasibility,
-)
+from trustlab.reproduction.reconstruction.feasibility import Feasibility, feasibility
 from trustlab.reproduction.reconstruction.moments import sample_with_moments
 
 # The mark that data carry in their `attrs`.
@@ -69,7 +66,7 @@ def reconstruct(study: PublishedStudy, seed: int = 0, p_adjust: str | None = Non
     >>> frame.groupby("condition")["value"].mean().round(1).to_dict()
     {'C1': 54.3, 'C2': 50.1, 'C3': 44.2, 'C4': 51.9, 'C5': 52.8}
     """
-    check_study(study)
+    of_class("study", study, PublishedStudy)
     # Where none is given, first what the fewest numbers contradict.
     fewest = sorted(ADJUSTMENTS, key=lambda each: len(contradictions(study, each)))
     for candidate in fewest if p_adjust is None else [p_adjust]:
