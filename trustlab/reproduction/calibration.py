@@ -16,8 +16,9 @@ table marks such assumptions, and `Calibration.given` conditions on the measures
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations, compress
 from pathlib import Path
 
 import numpy as np
@@ -77,30 +78,54 @@ class Calibration(Result):
         Ranges of the uniform priors.
     simulations : pandas.DataFrame
         The simulated studies: a column per assumption and per effect, by id.
-    measures : tuple of str
-        The measures whose effects the posterior was given.
-    posterior : pandas.DataFrame
-        A sample of assumptions, a row each.
-    extrapolated : tuple of str
-        Assumptions for which the printed effects lie beyond those of all simulated studies: their
-        posterior is no estimate.
     settings : dict
         n (operators of each simulated study), seed, simulations, left_out (failed, or without some
         effect).
+    measures : tuple of str
+        The measures whose effects the posterior is given; all that simulated studies have, if none.
     """
 
     study: str
     priors: dict[str, tuple[float, float]]
     simulations: pd.DataFrame
-    measures: tuple[str, ...]
-    posterior: pd.DataFrame
-    extrapolated: tuple[str, ...]
     settings: dict
+    measures: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        known = tuple(dict.fromkeys(effect.measure for effect in self.observed))
+        for name in self.measures:
+            one_of("a measure", name, known)
+        self.__dict__["measures"] = self.measures or known
 
     @property
     def observed(self) -> list[Effect]:
         """The printed effects that simulated studies have."""
         return [effect for effect in observed_effects(self.study) if effect.id in self.simulations]
+
+    def _beside(self, measures: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the simulated effects, a row each study, and the printed ones of some measures."""
+        chosen = [effect for effect in self.observed if effect.measure in measures]
+        simulated = self.simulations[[effect.id for effect in chosen]].to_numpy(float)
+        return simulated, np.array([effect.printed for effect in chosen])
+
+    @cached_property
+    def _sampled(self) -> tuple[pd.DataFrame, np.ndarray]:
+        """The posterior, and which assumptions are extrapolated."""
+        drawn = self.simulations[list(self.priors)]
+        return posterior_sample(drawn, *self._beside(self.measures), self.priors)
+
+    @property
+    def posterior(self) -> pd.DataFrame:
+        """A sample of assumptions, a row each."""
+        return self._sampled[0]
+
+    @property
+    def extrapolated(self) -> tuple[str, ...]:
+        """
+        Assumptions for which the printed effects lie beyond those of all simulated studies: their
+        posterior is no estimate.
+        """
+        return tuple(compress(self.priors, self._sampled[1]))
 
     @property
     def assumptions(self) -> dict[str, float]:
@@ -151,7 +176,7 @@ class Calibration(Result):
         ValueError
             If the simulated studies have no effect of a measure.
         """
-        return calibrated(self.study, self.priors, self.simulations, self.settings, measures)
+        return replace(self, measures=measures)
 
     def reach(self) -> pd.DataFrame:
         """
@@ -170,8 +195,7 @@ class Calibration(Result):
         """
         rows = []
         for measures in dict.fromkeys([*((name,) for name in self.measures), self.measures]):
-            chosen = [effect for effect in self.observed if effect.measure in measures]
-            values, printed = beside(chosen, self.simulations)
+            values, printed = self._beside(measures)
             scale = np.maximum(values.std(axis=0), 1e-12)
             tree = KDTree(values / scale)
             nearest, _ = tree.query(printed / scale)
@@ -324,7 +348,7 @@ def calibrate(
     _check_enough(len(whole), len(ids))
     settings = {"n": n, "seed": seed, "simulations": simulations}
     settings |= {"left_out": simulations - len(whole)}
-    return calibrated(study, ranges, whole[[*ranges, *ids]].astype(float), settings)
+    return Calibration(study, ranges, whole[[*ranges, *ids]].astype(float), settings)
 
 
 def _check_enough(simulations: int, effects: int) -> None:
@@ -335,37 +359,6 @@ def _check_enough(simulations: int, effects: int) -> None:
             f"{simulations} simulated studies are too few for a regression on {effects} effects: "
             f"{needed} are needed; those that are finished stay in out= for such a call"
         )
-
-
-def calibrated(
-    study: str,
-    ranges: dict[str, tuple[float, float]],
-    simulations: pd.DataFrame,
-    settings: dict,
-    measures: tuple[str, ...] | None = None,
-) -> Calibration:
-    """
-    Return the calibration that a table of simulated studies makes, given the effects of some
-    measures or all.
-    """
-    observed = [effect for effect in observed_effects(study) if effect.id in simulations]
-    known = tuple(dict.fromkeys(effect.measure for effect in observed))
-    measures = known if measures is None else measures
-    if not measures:
-        raise ValueError(f"name at least one measure, any of {', '.join(known)}")
-    for name in measures:
-        one_of("a measure", name, known)
-    chosen = [effect for effect in observed if effect.measure in measures]
-    drawn = simulations[list(ranges)]
-    sample, beyond = posterior_sample(drawn, *beside(chosen, simulations), ranges)
-    extrapolated = tuple(name for name, is_so in zip(ranges, beyond, strict=True) if is_so)
-    return Calibration(study, ranges, simulations, measures, sample, extrapolated, settings)
-
-
-def beside(effects: list[Effect], simulations: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Return simulated effects, a row each study, and the printed ones."""
-    simulated = simulations[[effect.id for effect in effects]].to_numpy(float)
-    return simulated, np.array([effect.printed for effect in effects])
 
 
 def write_calibration(calibration: Calibration, folder: str | os.PathLike) -> None:
@@ -418,7 +411,7 @@ def read_calibration(study: str, folder: str | os.PathLike) -> Calibration:
         )
     facts = json.loads(about.read_text(encoding="utf-8"))
     priors = {name: tuple(pair) for name, pair in facts["priors"].items()}
-    return calibrated(study, priors, pd.read_csv(table), facts["settings"])
+    return Calibration(study, priors, pd.read_csv(table), facts["settings"])
 
 
 def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
