@@ -116,9 +116,6 @@ KNOWN = {
     "estimate_thresholds": {
         "sessions": "foreign errors",
     },
-    "feasibility": {
-        "explain": "foreign errors, anything is taken, no difference",
-    },
     "fit": {
         "guess": "foreign errors",
     },
@@ -258,13 +255,6 @@ KNOWN = {
     "testbeds.plot_energies": {
         "session": "foreign errors",
         "axes": "foreign errors",
-    },
-    "trust.panel_from_table": {
-        "table": "foreign errors",
-        "low": "foreign errors",
-        "high": "foreign errors",
-        "source": "anything is taken",
-        "cautions": "anything is taken",
     },
     "trust.parameter": {
         "default": "anything is taken",

@@ -89,7 +89,6 @@ from .reproduction import (
     published_studies as published_studies,
     published_table as published_table,
     reconstruct as reconstruct,
-    reconstruct_study as reconstruct_study,
     simulated_effects as simulated_effects,
 )
 from .sessions import (

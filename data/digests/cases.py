@@ -307,7 +307,7 @@ def corrections():
 
 def printed_numbers():
     """Return what printed statistics allow; which data are found depends on the processor."""
-    return tl.feasibility(tl.published_studies()["uav.tlx"], explain=False).table()
+    return tl.feasibility(tl.published_studies()["uav.tlx"]).table()
 
 
 def limits():
@@ -386,8 +386,9 @@ def optimum():
 
 def trust():
     """Return parameters of a model of trust, fitted to people of a public study."""
-    fit = tl.fit_trust(tl.read_people("hybrid_vr"), "asymmetric")
-    return fit.table()[["parameter", "estimate"]]
+    table = tl.fit_trust(tl.read_people("hybrid_vr"), "asymmetric").table()
+    table["standard_error"] = (table["ci_high"] - table["ci_low"]) / 3.92
+    return table[["parameter", "estimate", "standard_error"]]
 
 
 def team():

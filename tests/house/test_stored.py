@@ -196,10 +196,11 @@ def test_failures(make):
 
 @pytest.mark.long
 def test_adjustments():
-    own = stored("adjustments").set_index(["study", "p_adjust"])
-    study = tl.published_studies()["uav.robot_performance"]
-    again = tl.reproduction.compare_adjustments({"uav.robot_performance": study}, seed=SEED + 1)
-    assert again["status"].to_dict() == own.loc[again.index, "status"].to_dict()
+    own = stored("adjustments").set_index(["study", "p_adjust"])["status"]
+    name = "uav.robot_performance"
+    for p_adjust, status in own[name].items():
+        answer = tl.feasibility(tl.published_studies()[name], p_adjust, SEED + 1)
+        assert status == ("found" if answer.rest_feasible else "not found"), p_adjust
 
 
 def test_reconstructions():
@@ -240,7 +241,7 @@ def test_trust_scores(make):
     own = stored("trust_scores").query("people == 'hybrid_vr' and criterion == 'step'")
     again = make.scored(tl.read_people("hybrid_vr"), "step", ["performance", "series"])
     both = again.merge(own, on=["split", "model", "measure"], suffixes=("", "_stored"))
-    assert len(both) == 20
+    assert len(both) == 16
     # Optimisers leave digits open.
     np.testing.assert_allclose(both["mean"], both["mean_stored"], rtol=2e-3)
     np.testing.assert_allclose(both["difference"], both["difference_stored"], rtol=0.2, atol=1e-5)

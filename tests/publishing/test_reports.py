@@ -28,10 +28,12 @@ from scipy import optimize
 import trustlab as tl
 from notebooks import diagrams
 from tests.publishing.world import ROOT, make
+from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
 from trustlab.publishing import figures, only_parameters
 from trustlab.publishing.chapter import empty_chapter
 from trustlab.publishing.run import commit, provenance
 from trustlab.publishing.tables import table_html
+from trustlab.reproduction.printed import half_unit
 from trustlab.reproduction.published import VERDICTS
 
 # --- reports --------------------------------------------------------------------------------------
@@ -71,6 +73,13 @@ def test_a_verdict_has_its_reason_and_a_section_that_is_there(claim):
     assert about["verdict"] in VERDICTS
     assert about["why"] or about["verdict"] == "diagram"
     assert not about["report"] or about["section"] in heads_of(about["report"])
+
+
+def test_every_report_with_a_claim_reads_its_verdicts():
+    shown = CLAIMS[CLAIMS["verdict"] != "diagram"]["report"]
+    for report in {*shown} - {""}:
+        (path,) = [p for p in NOTEBOOKS.glob("*.ipynb") if p.stem.partition("_")[2] == report]
+        assert f'verdicts(\\"{report}\\")' in path.read_text(encoding="utf-8"), report
 
 
 def test_verdicts_are_those_of_the_audit_and_of_the_reconstructions():
@@ -139,6 +148,53 @@ def test_numbers_in_the_reasons_are_computed_again():
     assert f"{1000 * heaviest:.1f} g" in CLAIMS.loc["(3.10)", "why"]
     least = tl.teleoperation.passivity_margin([2.0], [1.0, 2.0]).least_product
     assert least == pytest.approx(0.25)
+
+
+def test_theorem_2_fails_for_participant_3_with_the_printed_gain_too():
+    """And for most models whose parameters round to the printed ones."""
+    thresholds, said = (0.0, 0.27), CLAIMS.loc["Theorem 2", "why"]
+    printed = tl.published_table("2.1")["3"]
+    names = ["a_pr", "P_r_min", "P_r_max", "P_h_max", "a_r", "beta", "P_h_min", "delta_TSC"]
+
+    def steady(values, **gain):
+        robot, human = tl.RobotModel(*values[:4], **gain), (*values[4:7], values[3])
+        model = tl.TscModel(robot, tl.HumanModel(*human))
+        # (2.20) with the same gain: how far performance rises under the operator's best.
+        rise = model.robot.b * values[3] / (1.0 - values[0])
+        p = performance_as_printed(model.constants(), *thresholds, values[7], rise)
+        manual = p.dwell_manual_low, p.dwell_manual_high
+        _, bound = utilization_as_printed(values[4], *manual, p.dwell_autonomous_high)
+        return tl.limit_cycle(model, *thresholds).r_high, bound
+
+    values = printed[names].astype(float).to_numpy()
+    cycle, bound = steady(values, b=float(printed["b_pr"]))
+    assert f"the cycle ends at {cycle:.3f} and the bound is {bound:.3f}" in said
+    half, rng = printed[names].map(half_unit).to_numpy(float), np.random.default_rng(0)
+    sets = [steady(values + half * rng.uniform(-1.0, 1.0, 8)) for _ in range(150)]
+    share = np.mean([cycle > bound for cycle, bound in sets])
+    assert share == pytest.approx(0.85, abs=0.06)
+    assert "about 85 % of the sets" in said
+
+
+def test_assumption_3_and_algorithm_2_fail_where_the_page_says():
+    """At full load, or with it at rest, TSC_ub lies below TSC_lb; P_r stays below its maximum."""
+    table, at_rest = tl.published_table("2.2"), []
+    for who in table:
+        model = tl.published_models()[who]
+        cycle = tl.limit_cycle(model, *table.loc[["TSC_l", "TSC_u"], who].astype(float))
+
+        def room(low, high, model=model):
+            change = tl.allocation.step_bounds(model, low, high).delta_p_h
+            limits = tl.threshold_limits(model, change)
+            return limits.upper - limits.lower
+
+        assert room(cycle.r_low, cycle.r_high) > 0.0 > room(cycle.r_low, 1.0)
+        at_rest += [who] * (room(0.0, cycle.r_high) < 0.0)
+        manual = tl.simulate_allocation(model, 0.98, 0.99, steps=20_000, r0=model.human.beta)
+        assert manual["p_r"].max() < 0.9986 * model.robot.p_max
+    assert at_rest == ["4", "5"]
+    assert "for participants 4 and 5 from rest" in CLAIMS.loc["Assumption 3", "why"]
+    assert "stays below its maximum" in CLAIMS.loc["Algorithm 2", "why"]
 
 
 @pytest.mark.parametrize(

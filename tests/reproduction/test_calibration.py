@@ -11,7 +11,7 @@ from scipy import stats
 
 import trustlab as tl
 from trustlab.reproduction import read_calibration, write_calibration
-from trustlab.reproduction.calibration import calibrated, observed_effects, posterior_sample
+from trustlab.reproduction.calibration import Calibration, observed_effects, posterior_sample
 
 RANGES = {"a": (0.0, 1.0), "b": (-1.0, 1.0), "c": (0.0, 2.0)}
 TWO = {"attention_cost": (0.0, 0.3), "r0": (0.0, 1.0)}
@@ -98,7 +98,7 @@ def made_up(printed_at):
         lift = printed_at.get(effect.measure, 0.0) + effect.printed
         table[effect.id] = lift + away.to_numpy() @ slopes + rng.normal(0.0, 0.02, 600)
     settings = {"n": 5, "seed": 0, "simulations": 600, "left_out": 0}
-    return calibrated("table_2.5", priors, table, settings)
+    return Calibration("table_2.5", priors, table, settings)
 
 
 def test_a_study_that_the_model_can_give_is_within_reach_and_found():
@@ -123,6 +123,11 @@ def test_effects_beyond_all_simulations_are_said_to_be_out_of_reach():
     assert rest.extrapolated == ()
     row = rest.table().set_index("assumption").loc["attention_cost"]
     assert row["low"] < TRUE["attention_cost"] < row["high"]
+
+
+def test_more_checks_than_the_posterior_has_draws_are_refused():
+    with pytest.raises(ValueError, match=r"studies must be .*600"):
+        made_up({}).checks(studies=5000)
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,4 @@
-from .audit.audit import (
-    audit as audit,
-    plot_ranges as plot_ranges,
-    verdict_counts as verdict_counts,
-)
+from .audit.audit import audit as audit
 from .calibration import (
     Calibration as Calibration,
     calibrate as calibrate,
@@ -27,12 +23,9 @@ from .published_study import (
 )
 from .reconstruction.feasibility import (
     Feasibility as Feasibility,
-    compare_adjustments as compare_adjustments,
     feasibility as feasibility,
 )
 from .reconstruction.reconstruction import (
-    Reconstruction as Reconstruction,
     ReconstructionError as ReconstructionError,
     reconstruct as reconstruct,
-    reconstruct_study as reconstruct_study,
 )

@@ -16,8 +16,9 @@ table marks such assumptions, and `Calibration.given` conditions on the measures
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations, compress
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,6 @@ from scipy.spatial import KDTree
 
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import between, in_order, one_of, shown, whole_number
-from trustlab.models.digest import room_digest
 from trustlab.models.display import Result
 from trustlab.models.files import write_atomically
 from trustlab.reproduction.effects import (
@@ -62,8 +62,6 @@ TELEOPERATOR_PRIORS = {
 
 # Simulations for every coefficient of the regression, at the least.
 LEAST_PER_COEFFICIENT = 2
-# Measures that are answered only where a workload is assumed.
-ANSWERS = ("tlx", "satisfaction", "trust")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -80,25 +78,24 @@ class Calibration(Result):
         Ranges of the uniform priors.
     simulations : pandas.DataFrame
         The simulated studies: a column per assumption and per effect, by id.
-    measures : tuple of str
-        The measures whose effects the posterior was given.
-    posterior : pandas.DataFrame
-        A sample of assumptions, a row each.
-    extrapolated : tuple of str
-        Assumptions for which the printed effects lie beyond those of all simulated studies: their
-        posterior is no estimate.
     settings : dict
         n (operators of each simulated study), seed, simulations, left_out (failed, or without some
         effect).
+    measures : tuple of str
+        The measures whose effects the posterior is given; all that simulated studies have, if none.
     """
 
     study: str
     priors: dict[str, tuple[float, float]]
     simulations: pd.DataFrame
-    measures: tuple[str, ...]
-    posterior: pd.DataFrame
-    extrapolated: tuple[str, ...]
     settings: dict
+    measures: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        known = tuple(dict.fromkeys(effect.measure for effect in self.observed))
+        for name in self.measures:
+            one_of("a measure", name, known)
+        self.__dict__["measures"] = self.measures or known
 
     @property
     def observed(self) -> list[Effect]:
@@ -110,6 +107,25 @@ class Calibration(Result):
         chosen = [effect for effect in self.observed if effect.measure in measures]
         simulated = self.simulations[[effect.id for effect in chosen]].to_numpy(float)
         return simulated, np.array([effect.printed for effect in chosen])
+
+    @cached_property
+    def _sampled(self) -> tuple[pd.DataFrame, np.ndarray]:
+        """The posterior, and which assumptions are extrapolated."""
+        drawn = self.simulations[list(self.priors)]
+        return posterior_sample(drawn, *self._beside(self.measures), self.priors)
+
+    @property
+    def posterior(self) -> pd.DataFrame:
+        """A sample of assumptions, a row each."""
+        return self._sampled[0]
+
+    @property
+    def extrapolated(self) -> tuple[str, ...]:
+        """
+        Assumptions for which the printed effects lie beyond those of all simulated studies: their
+        posterior is no estimate.
+        """
+        return tuple(compress(self.priors, self._sampled[1]))
 
     @property
     def assumptions(self) -> dict[str, float]:
@@ -160,7 +176,7 @@ class Calibration(Result):
         ValueError
             If the simulated studies have no effect of a measure.
         """
-        return calibrated(self.study, self.priors, self.simulations, self.settings, measures)
+        return replace(self, measures=measures)
 
     def reach(self) -> pd.DataFrame:
         """
@@ -322,9 +338,7 @@ def calibrate(
     ranges = checked_priors(usual if priors is None else priors)
     simulations = whole_number("simulations", simulations)
     seed = whole_number("seed", seed, least=0)
-    answered = study in TELEOPERATION or any(name.startswith("load") for name in ranges)
-    sure = [effect for effect in effects if answered or effect.measure not in ANSWERS]
-    _check_enough(simulations, len(sure))
+    _check_enough(simulations, len(effects))
     runs = [{"study": study, "n": n} | draw for draw in prior_draws(ranges, simulations, seed)]
     done = run_campaign(simulated_study, runs, seed=seed, n_jobs=n_jobs, out=out, progress=progress)
     whole = done[~done["failed"].to_numpy(bool)]
@@ -334,7 +348,7 @@ def calibrate(
     _check_enough(len(whole), len(ids))
     settings = {"n": n, "seed": seed, "simulations": simulations}
     settings |= {"left_out": simulations - len(whole)}
-    return calibrated(study, ranges, whole[[*ranges, *ids]].astype(float), settings)
+    return Calibration(study, ranges, whole[[*ranges, *ids]].astype(float), settings)
 
 
 def _check_enough(simulations: int, effects: int) -> None:
@@ -347,39 +361,10 @@ def _check_enough(simulations: int, effects: int) -> None:
         )
 
 
-def calibrated(
-    study: str,
-    ranges: dict[str, tuple[float, float]],
-    simulations: pd.DataFrame,
-    settings: dict,
-    measures: tuple[str, ...] | None = None,
-) -> Calibration:
-    """
-    Return the calibration that a table of simulated studies makes, given the effects of some
-    measures or all.
-    """
-    observed = [effect for effect in observed_effects(study) if effect.id in simulations]
-    known = tuple(dict.fromkeys(effect.measure for effect in observed))
-    measures = known if measures is None else measures
-    if not measures:
-        raise ValueError(f"name at least one measure, any of {', '.join(known)}")
-    for name in measures:
-        one_of("a measure", name, known)
-    chosen = [effect for effect in observed if effect.measure in measures]
-    sample, beyond = posterior_sample(
-        simulations[list(ranges)],
-        simulations[[effect.id for effect in chosen]].to_numpy(float),
-        np.array([effect.printed for effect in chosen]),
-        ranges,
-    )
-    extrapolated = tuple(name for name, is_so in zip(ranges, beyond, strict=True) if is_so)
-    return Calibration(study, ranges, simulations, measures, sample, extrapolated, settings)
-
-
 def write_calibration(calibration: Calibration, folder: str | os.PathLike) -> None:
     """
-    Write a calibration's simulated studies to a folder: <study>.csv, and <study>.json with priors,
-    settings and source digest.
+    Write a calibration's simulated studies to a folder: <study>.csv, and <study>.json with priors
+    and settings.
 
     Parameters
     ----------
@@ -395,7 +380,6 @@ def write_calibration(calibration: Calibration, folder: str | os.PathLike) -> No
         "priors": calibration.priors,
         "settings": calibration.settings,
         "origin": "simulated operators",
-        "source_digest": room_digest("reproduction"),
     }
     path = place / calibration.study
     write_atomically(f"{path}.json", json.dumps(about, indent=1) + "\n")
@@ -427,7 +411,7 @@ def read_calibration(study: str, folder: str | os.PathLike) -> Calibration:
         )
     facts = json.loads(about.read_text(encoding="utf-8"))
     priors = {name: tuple(pair) for name, pair in facts["priors"].items()}
-    return calibrated(study, priors, pd.read_csv(table), facts["settings"])
+    return Calibration(study, priors, pd.read_csv(table), facts["settings"])
 
 
 def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:

@@ -197,10 +197,9 @@ def _printed(key: str, value: object) -> dict[str, str]:
 
 def _names(key: str, value: Iterable[str]) -> tuple[str, ...]:
     """Return a list of names as a tuple."""
-    names = (value,) if isinstance(value, str) else tuple(value)
-    if isinstance(value, str) or not all(isinstance(name, str) for name in names):
+    if isinstance(value, str) or not all(isinstance(name, str) for name in value):
         raise ValueError(f"{key} must be a list of names, got {shown(value)}")
-    return names
+    return tuple(value)
 
 
 def _scale(key: str, value: Any) -> tuple[float, float]:

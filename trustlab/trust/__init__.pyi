@@ -17,5 +17,5 @@ from .interface import (
     parameter as parameter,
 )
 from .likelihood import predict as predict, simulate_ratings as simulate_ratings
-from .panel import Panel as Panel, panel_from_table as panel_from_table
+from .panel import Panel as Panel
 from .people import read_people as read_people

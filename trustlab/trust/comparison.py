@@ -9,21 +9,21 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import of_class, one_of, spawned, whole_number
-from trustlab.models.display import as_html
+from trustlab.models.display import Result
 from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.fitting import CRITERIA, TrustFit, fitted, model_class
 from trustlab.trust.interface import LEAST, TrustDynamics
 from trustlab.trust.likelihood import cell, predict, simulate_ratings
 from trustlab.trust.panel import Panel
 
-# Of every person: squared errors, less is better; log score in nats a rating, more is better; log
-# loss of reliance in nats a decision, less is better; ratings within the 90 % interval.
-MEASURES = ("free_error", "step_error", "log_score", "reliance_loss", "coverage")
+# Of every person: squared errors, less is better; log score in nats a rating, more is better;
+# ratings within the 90 % interval.
+MEASURES = ("free_error", "step_error", "log_score", "coverage")
 Models = Sequence | Mapping | None
 
 
-@dataclass(frozen=True, eq=False)
-class TrustComparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class TrustComparison(Result):
     """
     Scores of models of trust on ratings that they were not fitted to.
 
@@ -44,6 +44,16 @@ class TrustComparison:
     source: str
     cautions: tuple[str, ...]
 
+    @property
+    def title(self) -> str:
+        """What is compared."""
+        return f"Models of trust against {self.against}"
+
+    @property
+    def message(self) -> str:
+        """Where the data are from, and what must be said of them."""
+        return " ".join((self.source, *self.cautions))
+
     def table(self) -> pd.DataFrame:
         """
         Return the scores of every model: means over people.
@@ -52,7 +62,7 @@ class TrustComparison:
         -------
         pandas.DataFrame
             Columns split, model, free_rmse and step_rmse (from no rating but the first, or from all
-            so far), log_score, reliance_loss, coverage (of 90 % intervals).
+            so far), log_score, coverage (of 90 % intervals).
         """
         means = self.scores.groupby(["split", "model"], sort=False)[list(MEASURES)].mean()
         means = means.reset_index()
@@ -60,14 +70,9 @@ class TrustComparison:
             means[f"{name}_error"] = np.sqrt(means[f"{name}_error"])
         return means.rename(columns={"free_error": "free_rmse", "step_error": "step_rmse"})
 
-    def paired(self, against: str | None = None) -> pd.DataFrame:
+    def paired(self) -> pd.DataFrame:
         """
-        Return differences from a model, paired by person, with 95 % intervals.
-
-        Parameters
-        ----------
-        against : str, optional
-            The model that is subtracted; `against` of the comparison when not given.
+        Return differences from the model `against`, paired by person, with 95 % intervals.
 
         Returns
         -------
@@ -76,25 +81,19 @@ class TrustComparison:
             ci_low, ci_high (Student's t over people), people.
         """
         names = list(dict.fromkeys(self.scores["model"]))
-        reference = one_of("against", against or self.against, names)
         rows = []
         for split, scores in self.scores.groupby("split", sort=False):
-            for measure in MEASURES[:4]:
+            for measure in MEASURES[:3]:
                 wide = scores.pivot_table(measure, "person", "model", dropna=False)
                 for name in names:
-                    apart = (wide[name] - wide[reference]).dropna()
-                    if name != reference and apart.size > 1:
+                    apart = (wide[name] - wide[self.against]).dropna()
+                    if name != self.against and apart.size > 1:
                         half = special.stdtrit(apart.size - 1, 0.975) * apart.sem()
                         ends = apart.mean() - half, apart.mean() + half
                         row = (apart.mean(), apart.sem(), *ends, apart.size)
                         rows.append((split, measure, name, *row))
         columns = ["split", "measure", "model", "difference", "se", "ci_low", "ci_high", "people"]
         return pd.DataFrame(rows, columns=columns)
-
-    def _repr_html_(self) -> str:
-        text = " ".join((self.source, *self.cautions))
-        title = f"Models of trust, differences from {self.against}"
-        return as_html(text, self.table(), self.paired(), title=title)
 
 
 def named_models(models: Models) -> dict[str, type[TrustDynamics]]:
@@ -154,7 +153,7 @@ def compare_trust_models(
     >>> import trustlab as tl
     >>> result = tl.compare_trust_models(tl.read_people("hybrid_vr"), ["beta", "persistence"])
     >>> result.table().shape
-    (4, 7)
+    (4, 6)
     """
     of_class("panel", panel, Panel, "tl.read_people(…) reads one")
     chosen = named_models(models)
@@ -194,12 +193,10 @@ def _scores(fit: TrustFit, panel: Panel, since: int) -> pd.DataFrame:
         _in_central_interval(rating, actual[:, k], panel.resolution)
         for k, rating in enumerate(steps.distributions)
     ]
-    odds = fit.link.bias + fit.link.slope * steps.preference
     values = {
         "free_error": np.square(free.mean - actual),
         "step_error": np.square(steps.mean - actual),
         "log_score": np.log(np.maximum(steps.probability(panel), LEAST)),
-        "reliance_loss": -special.log_expit(-odds) - panel.events.followed * odds,
         "coverage": np.where(np.isnan(actual), np.nan, np.transpose(inside)),
     }
     means = {name: pd.DataFrame(value[:, since:]).mean(axis=1) for name, value in values.items()}

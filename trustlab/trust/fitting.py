@@ -2,13 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple
+from functools import cache, cached_property
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import minimize
-from scipy.special import expit
+from scipy.optimize import brentq, minimize
 
 from trustlab.models.checks import of_class, one_of
 from trustlab.models.display import Result
@@ -20,34 +18,30 @@ from trustlab.trust.interface import (
     values_at,
     with_parameters,
 )
-from trustlab.trust.likelihood import log_likelihood, predict
+from trustlab.trust.likelihood import log_likelihood
 from trustlab.trust.panel import Panel
 
 # The loss at each row of coordinates, shape (rows, parameters).
 Loss = Callable[[np.ndarray], np.ndarray]
-# Step of the differences behind first and second derivatives, in coordinates without bounds.
-CURVE = 3e-3
+# Step of the differences behind slopes, in coordinates without bounds.
+STEP = 1e-3
 # Beyond ±9 a parameter is at its bound for all purposes.
 EDGE = 9.0
-ROUNDS = 30
-# A search has settled where no coordinate moves further.
-SETTLED = 1e-4
-# The root of twice the fall of the log-likelihood at the ends of a 95 % interval, and its error.
+# The root of twice the fall of the log-likelihood at the ends of a 95 % interval.
 FALL = 1.96
-NEAR = 0.02
+# When a search ends: of a fit, whose digits count, and of the other coordinates at an end.
+FINE = {"ftol": 1e-15, "gtol": 1e-6}
+COARSE = {"ftol": 1e-7, "gtol": 1e-2}
+# Farther from 0 the loss may be too flat for a search to begin.
+STEEP = 4.0
+# How near to an end of an interval, in its coordinate.
+NEAR = 2e-3
 CRITERIA = ("step", "free")
 # Points drawn about the defaults, and how many of the best a search begins at.
 DRAWN = 40
 BEST = 2
 # Optima of log-likelihoods so near each other are one.
 ALIKE = 1e-3
-
-
-class Link(NamedTuple):
-    """Log odds of reliance: bias + slope · preference."""
-
-    bias: float
-    slope: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,8 +61,6 @@ class TrustFit(Result):
         Those of the model, without bounds.
     log_likelihood : float
         Of the ratings after the first.
-    link : Link
-        Of reliance on the model's preference, fitted afterwards; NaN where nobody could rely.
     ratings : int
         Ratings fitted.
     """
@@ -78,7 +70,6 @@ class TrustFit(Result):
     criterion: str
     coordinates: np.ndarray
     log_likelihood: float
-    link: Link
     ratings: int
 
     @property
@@ -123,10 +114,10 @@ class TrustFit(Result):
         (least, most), (low, high) = ranges_of(self.model), self.ends
         ci_low, ci_high = values_at(type(self.model), self.ends)
         is_open = np.isinf(low) & np.isinf(high)
-        without = is_open | np.isnan(self.ends).any(axis=0)
-        reason: Any = np.where(is_open, "the data leave it open", "its ends were not found")
-        if self.criterion == "free":
-            reason = "free runs have no likelihood"
+        without = is_open | np.isnan(low)
+        reason = "free runs have no likelihood"
+        if self.criterion == "step":
+            reason = "the data leave it open"
         return pd.DataFrame(
             {
                 "parameter": list(self.model.parameters()),
@@ -176,8 +167,7 @@ def fit_trust(
 
     Notes
     -----
-    All people share their parameters. Reliance is fitted after trust, so that it does not change
-    what the ratings say.
+    All people share their parameters.
 
     Examples
     --------
@@ -205,10 +195,9 @@ def fitted(
         raise ValueError("the panel has no rating after an event: nothing can be fitted")
     loss = _loss(panel, chosen, free, until)
     starts = _starts(loss, chosen, panel, free, until) if start is None else start[None]
-    optima = optima_from(loss, starts)
-    reached = loss(optima)
+    optima, reached = zip(*(optimum(loss, x) for x in starts), strict=True)
     # The first that is as good as the best: last bits do not decide.
-    coordinates = optima[np.argmax(reached <= reached.min() + ALIKE)]
+    coordinates = optima[np.argmax(np.array(reached) <= min(reached) + ALIKE)]
     values = values_at(chosen, coordinates).tolist()
     model = chosen(**dict(zip(chosen.parameters(), values, strict=True)))
     return TrustFit(
@@ -217,7 +206,6 @@ def fitted(
         criterion="free" if free else "step",
         coordinates=coordinates,
         log_likelihood=float(log_likelihood(model, panel, free, until).sum()),
-        link=reliance_link(model, panel, until),
         ratings=ratings,
     )
 
@@ -255,26 +243,31 @@ def _starts(
     return np.array(starts)
 
 
-def optima_from(
-    loss: Loss,
-    x: np.ndarray,
-    held: np.ndarray | bool = False,
-    rounds: int = ROUNDS,
-    still: float = SETTLED,
-) -> np.ndarray:
-    """
-    Return rows of coordinates after Newton's steps until none moves further than `still`; those
-    that are `held` stay.
-    """
-    x, rows = x.copy(), np.arange(len(x))
-    held = np.broadcast_to(held, x.shape)
-    for _ in range(rounds if x.size else 0):
-        stepped, moved = newton_step(loss, x[rows], held[rows])
-        x[rows] = np.clip(stepped, -EDGE, EDGE)
-        rows = rows[moved >= still]
-        if not rows.size:
-            break
-    return x
+def optimum(loss: Loss, start: np.ndarray, held: int | None = None) -> tuple[np.ndarray, float]:
+    """Return the coordinates of least loss, and the loss; the one that is `held` stays."""
+    start = np.clip(start, -EDGE, EDGE)
+    bounds = np.tile([-EDGE, EDGE], (start.size, 1))
+    moves = np.delete(STEP * np.eye(start.size), [] if held is None else held, axis=0)
+    if held is not None:
+        bounds[held] = start[held]
+
+    def loss_and_slope(x: np.ndarray):
+        here, *beside = loss(np.vstack([x, x + moves, x - moves]))
+        ahead, behind = np.split(np.array(beside), 2)
+        return here, (ahead - behind) @ moves / (2.0 * STEP**2)
+
+    # Models without parameters to fit are at their best.
+    if not len(moves):
+        return start, float(loss(start[None])[0])
+    found = minimize(
+        loss_and_slope,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options=COARSE if held is not None else FINE,
+    )
+    return found.x, float(found.fun)
 
 
 def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
@@ -283,105 +276,28 @@ def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
 
     At an end the log-likelihood, with all other coordinates at their best, is 1.92 less than at the
     centre: D. J. Venzon, S. H. Moolgavkar, Applied Statistics 37(1), 1988. An end is infinite where
-    a parameter reaches its bound before, and NaN where the search did not settle.
+    a parameter reaches its bound before.
     """
-    # A row for every end: one coordinate is put somewhere, and all others are at their best.
-    place = np.tile(np.arange(centre.size), 2)
-    side = np.repeat([-1.0, 1.0], centre.size)
-    held = np.eye(centre.size, dtype=bool)[place]
-    least, _, curvature = derivatives(loss, centre[None])
-    variance = np.diag(np.linalg.inv(definite(curvature[0])))
-    distance = np.minimum(FALL * np.sqrt(variance), 1.0)[place]
-    ends = np.full(place.size, np.nan)
-    x = np.tile(centre, (place.size, 1))
-    rows = np.arange(place.size)
-    before = np.zeros(place.size)
-    reached = np.zeros(place.size)
-    for _ in range(ROUNDS):
-        at = np.clip(centre[place] + side * distance, -EDGE, EDGE)[rows]
-        x[rows, place[rows]] = at
-        x[rows] = optima_from(loss, x[rows], held[rows], rounds=4, still=0.05)
-        fall = np.sqrt(2.0 * np.maximum(loss(x[rows]) - least, 1e-12))
-        settled = np.abs(fall - before[rows]) < NEAR
-        beyond = settled & (np.abs(at) == EDGE) & (fall < FALL)
-        ends[rows] = np.where(beyond, np.inf * side[rows], at)
-        now = distance[rows]
-        # The secant through the last two distances, or through the centre.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            slope = (fall - before[rows]) / (now - reached[rows])
-        slope = np.where(slope > 0.0, slope, fall / now)
-        before[rows] = fall
-        reached[rows] = now
-        distance[rows] = np.clip(now + (FALL - fall) / slope, 0.5 * now, 2.0 * now)
-        distance = np.minimum(distance, 2.0 * EDGE)
-        rows = rows[~beyond & ~(settled & (np.abs(fall - FALL) < NEAR))]
-        if not rows.size:
-            break
-    # Towards a bound the likelihood may level off before it has fallen enough.
-    ends[rows] = np.where(before[rows] < FALL, np.inf * side[rows], np.nan)
-    return ends.reshape(2, centre.size)
+    ends = [[_end(loss, centre, i, edge) for i in range(centre.size)] for edge in (-EDGE, EDGE)]
+    return np.reshape(ends, (2, centre.size))
 
 
-def derivatives(loss: Loss, x: np.ndarray):
-    """Return the loss at rows of coordinates, gradient and second derivatives, by differences."""
-    size, count = x.shape
-    i, j = np.tril_indices(count)
-    unit = CURVE * np.eye(count)
-    moves = np.concatenate([np.zeros((1, count)), unit, -unit, unit[i] + unit[j]])
-    values = loss((x + moves[:, None]).reshape(-1, count)).reshape(len(moves), size)
-    centre, ahead, behind, both = np.split(values, [1, count + 1, 2 * count + 1])
-    slope = (ahead - behind).T / (2.0 * CURVE)
-    # ∂²f/∂i∂j ≈ (f(i + j) − f(i) − f(j) + f)/h²
-    mixed = (both - ahead[i] - ahead[j] + centre).T / CURVE**2
-    curvature = np.zeros((size, count, count))
-    curvature[:, i, j] = mixed
-    curvature[:, j, i] = mixed
-    return centre[0], slope, curvature
+def _end(loss: Loss, centre: np.ndarray, held: int, edge: float) -> float:
+    """Return where the log-likelihood has fallen enough between a coordinate and its bound."""
+    best, least = centre.copy(), float(loss(centre[None])[0])
 
+    @cache
+    def fall(place: float) -> float:
+        """Return the root of twice the fall of the log-likelihood, less that at an end."""
+        # From the centre and from the last search: by itself each can end in a plain.
+        points = np.clip([centre, best], -STEEP, STEEP)
+        points[:, held] = place
+        best[:], reached = min((optimum(loss, x, held) for x in points), key=lambda each: each[1])
+        return np.sqrt(2.0 * max(reached - least, 0.0)) - FALL
 
-def newton_step(loss: Loss, x: np.ndarray, held: np.ndarray):
-    """
-    Return rows of coordinates after a step that lowers the loss, and how far each moved; those that
-    are `held` stay.
-    """
-    before, slope, curvature = derivatives(loss, x)
-    slope[held] = 0.0
-    matrix = np.where(held[:, :, None] | held[:, None], np.eye(x.shape[1]), curvature)
-    direction = -np.linalg.solve(definite(matrix), slope[..., None])[..., 0]
-    direction *= np.minimum(1.0, 2.0 / np.maximum(np.abs(direction).max(axis=1), 1e-12))[:, None]
-    share = np.ones(len(x))
-    for _ in range(6):
-        worse = ~(loss(x + share[:, None] * direction) <= before)
-        if not worse.any():
-            break
-        share[worse] *= 0.3
-    share[worse] = 0.0
-    step = share[:, None] * direction
-    return x + step, np.abs(step).max(axis=1)
-
-
-def definite(matrices: np.ndarray) -> np.ndarray:
-    """Return symmetric matrices with eigenvalues of at least 1e-3."""
-    values, vectors = np.linalg.eigh(matrices)
-    values = np.maximum(values, 1e-3)
-    return (vectors * values[..., None, :]) @ np.swapaxes(vectors, -1, -2)
-
-
-def reliance_link(model: TrustDynamics, panel: Panel, until: int | None = None) -> Link:
-    """Return the link of reliance that is likeliest, given what a model says of trust."""
-    followed = panel.events.followed[:, :until]
-    asked = np.isfinite(followed)
-    if not asked.any():
-        return Link(np.nan, np.nan)
-    preference = predict(model, panel).preference[:, :until][asked]
-    relied = followed[asked]
-
-    def loss_and_slope(x: np.ndarray):
-        odds = x[0] + x[1] * preference
-        error = expit(odds) - relied
-        # A weak prior: where trust and reliance are one step the slope has no maximum.
-        loss = np.logaddexp(0.0, odds) - relied * odds
-        slope = np.array([error.mean(), (error * preference).mean()])
-        return loss.mean() + 1e-5 * x @ x, slope + 2e-5 * x
-
-    return Link(*map(float, minimize(loss_and_slope, np.zeros(2), jac=True, method="BFGS").x))
+    inner, step = centre[held], np.copysign(0.25, edge)
+    while fall(outer := float(np.clip(inner + step, -EDGE, EDGE))) < 0.0:
+        if outer == edge:
+            return np.copysign(np.inf, edge)
+        inner, step = outer, 2.0 * step
+    return brentq(fall, inner, outer, xtol=NEAR)

@@ -1,11 +1,13 @@
 """Panels: what many people saw, did and rated, in rows of people and columns of events."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import array_between, of_class, positive
+from trustlab.models.checks import array_between, positive
 from trustlab.trust.interface import Event
 
 # Columns of a panel in a table, beside person and trial.
@@ -78,61 +80,41 @@ class Panel:
         return replace(self, people=people, events=events, ratings=self.ratings[rows])
 
 
-def panel_from_table(
+def panel_of(
     table: pd.DataFrame,
     *,
+    columns: Mapping[str, str] = MappingProxyType({}),
     low: float = 0.0,
     high: float = 1.0,
+    performance: tuple[float, float] = (0.0, 1.0),
+    before: bool = True,
     resolution: float | None = None,
     source: str = "",
-    cautions: tuple[str, ...] = (),
+    cautions: Sequence[str] = (),
 ) -> Panel:
     """
-    Return a panel from rows of people and trials.
+    Return a panel from rows of people and trials, by the recipe of `read_people`.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        Columns person, trial and rating, and those of `Event` that there are (dt p_r p_h fault mode
-        followed seen). The first row of a person has the rating before the first event; the signals
-        of later rows are those that led to their rating.
-    low, high : float
-        Ends of the scale of ratings.
-    resolution : float, optional
-        Step of the scale; the least difference of two ratings when not given.
-    source : str
-        Where the data are from.
-    cautions : tuple of str
-        What must be said of them.
-
-    Returns
-    -------
-    Panel
-
-    Raises
-    ------
-    ValueError
-        If a column is missing, a rating is off the scale or p_r is missing or not in [0, 1].
-
-    Examples
-    --------
-    >>> import pandas as pd, trustlab as tl
-    >>> rows = pd.DataFrame({"person": ["P1"] * 3, "trial": [0, 1, 2], "p_r": [None, 1.0, 0.0],
-    ...                      "rating": [4, 5, 3]})
-    >>> tl.trust.panel_from_table(rows, low=1, high=7).ratings.round(2).tolist()
-    [[0.5, 0.67, 0.33]]
+    Signals of `Event` that the table lacks have their usual values; without a resolution it is the
+    least difference of two ratings.
     """
-    of_class("table", table, pd.DataFrame, "with columns person, trial, rating")
-    for name in ("person", "trial", "rating", "p_r"):
-        if name not in table:
-            raise ValueError(f"table has no column {name!r} (there are {', '.join(table)})")
-    span = positive("high - low", high - low)
+    wanted = {name: name for name in ("person", "trial", "rating", "p_r")} | dict(columns)
+    for column in wanted.values():
+        if column not in table:
+            raise ValueError(f"the table has no column {column!r} (there are {', '.join(table)})")
+    table = table.rename(columns={column: signal for signal, column in columns.items()})
+    span, (worst, best) = positive("high - low", high - low), performance
+    if not before:
+        first = table[["person"]].drop_duplicates().assign(trial=-np.inf)
+        table = pd.concat([first, table], ignore_index=True)
     # People stay in the order of the table, their trials are put in order.
     table = table.assign(place=pd.factorize(table["person"])[0])
     table = table.sort_values(["place", "trial"], kind="stable", ignore_index=True)
     number = table.groupby("place").cumcount().rename("number")
-    # A signal that is not in the table, or missing there, has its usual value.
     signals = table.reindex(columns=["rating", *SIGNALS]).astype(float)
+    signals["p_r"] = (signals["p_r"] - worst) / (best - worst)
+    array_between("p_r", signals["p_r"].to_numpy()[number > 0], 0.0, 1.0, "performance")
+    # A signal that is not in the table, or missing there, has its usual value.
     signals = signals.fillna(Event()._asdict())
     # Rows of people; NaN where a person has no such trial.
     wide = signals.set_index([table["place"], number]).unstack()  # noqa: PD010 (no repeats)
@@ -143,7 +125,6 @@ def panel_from_table(
             f"{outside.sum()} ratings are outside the scale from {low:g} to {high:g}; low and high "
             "are its ends"
         )
-    array_between("p_r", table["p_r"].to_numpy(dtype=float)[number > 0], 0.0, 1.0, "performance")
     if resolution is None:
         levels = np.unique(np.round(ratings[np.isfinite(ratings)], 9))
         resolution = float(np.diff(levels).min()) if levels.size > 1 else 0.01
@@ -153,5 +134,5 @@ def panel_from_table(
         ratings,
         positive("resolution", resolution),
         source,
-        cautions,
+        tuple(cautions),
     )

@@ -14,21 +14,11 @@ from scipy import special
 
 from trustlab.models.checks import did_you_mean, one_of
 from trustlab.models.published import data_folder
-from trustlab.trust.panel import Panel, panel_from_table
+from trustlab.trust.panel import Panel, panel_of
 
-RECIPE = (
-    "columns",
-    "low",
-    "high",
-    "performance",
-    "before",
-    "resolution",
-    "source",
-    "cautions",
-)
-SEVEN_POINTS = {"low": 1.0, "high": 7.0, "resolution": 1.0 / 6.0}
+SEVEN_POINTS: dict[str, Any] = {"low": 1.0, "high": 7.0, "resolution": 1.0 / 6.0}
 # Of a live study: trust by the checklist after every drive.
-STUDY_RECIPE = {
+STUDY_RECIPE: dict[str, Any] = {
     "columns": {"person": "participant", "trial": "position", "rating": "trust_mean", "p_r": "p_r"},
     "low": 1.0,
     "high": 7.0,
@@ -80,49 +70,22 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
     if isinstance(name, str) and name in SETS:
         file, read = SETS[name]
         return read(data_folder("people") / file)
-    settings = _recipe(recipe)
+    if isinstance(recipe, str | os.PathLike):
+        recipe = tomllib.loads(Path(recipe).read_text(encoding="utf-8"))
+    settings: dict[str, Any] = dict(recipe or {})
+    for key in settings:
+        one_of("a recipe's key", key, panel_of.__kwdefaults__)
     if isinstance(name, pd.DataFrame):
-        return _from_table(name, settings, "table")
+        return panel_of(name, **settings)
     # A live study is known by its measures: its room is below this one.
     if hasattr(name, "measures"):
-        return _from_table(
-            name.measures, STUDY_RECIPE | {"source": repr(name)} | settings, "measures"
-        )
+        return panel_of(name.measures, **STUDY_RECIPE | {"source": repr(name)} | settings)
     path = Path(name)
     if not path.is_file():
         meant = did_you_mean(name, SETS)
         raise ValueError(f"no set or file {str(name)!r}{meant} (sets: {', '.join(SETS)})")
-    return _from_table(pd.read_csv(path), {"source": str(path)} | settings, str(path))
-
-
-def _recipe(recipe: Mapping | str | os.PathLike | None) -> dict[str, Any]:
-    """Return a recipe, read from its file where it has one."""
-    if isinstance(recipe, str | os.PathLike):
-        recipe = tomllib.loads(Path(recipe).read_text(encoding="utf-8"))
-    settings = dict(recipe or {})
-    for key in settings:
-        one_of("a recipe's key", key, RECIPE)
-    return settings
-
-
-def _from_table(table: pd.DataFrame, recipe: Mapping, place: str) -> Panel:
-    """Return the panel of a table by a recipe; `place` says where the table is from."""
-    settings = dict(recipe)
-    columns = settings.pop("columns", {})
-    worst, best = settings.pop("performance", (0.0, 1.0))
-    before = settings.pop("before", True)
-    missing = [column for column in columns.values() if column not in table]
-    if missing:
-        raise ValueError(f"{place}: no column {missing[0]!r} (there are {', '.join(table)})")
-    table = table.rename(columns={column: signal for signal, column in columns.items()})
-    if "p_r" in table:
-        table["p_r"] = (table["p_r"] - worst) / (best - worst)
-    if not before:
-        first = table[["person"]].drop_duplicates().assign(trial=-np.inf)
-        table = pd.concat([first, table], ignore_index=True)
-    if "cautions" in settings:
-        settings["cautions"] = tuple(settings["cautions"])
-    return panel_from_table(table, **settings)
+    settings.setdefault("source", str(path))
+    return panel_of(pd.read_csv(path), **settings)
 
 
 def _hybrid(path: Path) -> Panel:
@@ -142,7 +105,7 @@ def _hybrid(path: Path) -> Panel:
         table = table.reindex(range(state.size + 1)).rename_axis("trial").reset_index()
         tables.append(table.assign(person=person["human_id"], rating=person["trust"]))
     source = f"Du and others 2026, {path.stem}, MIT"
-    return panel_from_table(pd.concat(tables), resolution=0.01, source=source, cautions=(HYBRID,))
+    return panel_of(pd.concat(tables), resolution=0.01, source=source, cautions=(HYBRID,))
 
 
 def _transfer(path: Path) -> Panel:
@@ -159,7 +122,7 @@ def _transfer(path: Path) -> Panel:
     )
     table = pd.DataFrame(rows, columns=["person", "trial", "rating", "p_r", "dt"])
     source = "Soh and others 2018, household, MIT"
-    return panel_from_table(table, **SEVEN_POINTS, source=source, cautions=cautions)
+    return panel_of(table, **SEVEN_POINTS, source=source, cautions=cautions)
 
 
 def _capabilities(path: Path) -> Panel:
@@ -182,7 +145,7 @@ def _capabilities(path: Path) -> Panel:
     )
     table = pd.DataFrame(rows, columns=["person", "trial", "p_r", "rating"])
     source = "Azevedo-Sa and others 2021, MIT"
-    return panel_from_table(table, **SEVEN_POINTS, source=source, cautions=cautions)
+    return panel_of(table, **SEVEN_POINTS, source=source, cautions=cautions)
 
 
 HYBRID = (

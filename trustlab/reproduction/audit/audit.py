@@ -1,27 +1,31 @@
 """All checks together: one table with a row per printed number, in their order."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 
 import pandas as pd
 
-from trustlab.models.display import axes_or_new
 from trustlab.reproduction.audit.catalogue import printed_numbers, why_unchecked
-from trustlab.reproduction.audit.check import VERDICTS, Row, row_about, rows_of
+from trustlab.reproduction.audit.check import NotPrintedError, Numbers, Row, row_about
 from trustlab.reproduction.audit.consistency import (
     joint_rows,
-    relation_checks,
+    remarks,
+    restated_rows,
     sample_checks,
-    study_checks,
+    study_conflicts,
 )
-from trustlab.reproduction.published import published_facts
+from trustlab.reproduction.audit.relations import relations
 
-MAKERS = (
-    relation_checks,
-    study_checks,
-    sample_checks,
-    joint_rows,
-)
+
+def quick_rows(numbers: Numbers, conflicts: Mapping[str, str]) -> Iterator[Row]:
+    """Return the rows of all checks but the searches for parameters, given what conflicts."""
+    for relation in relations(numbers):
+        with suppress(NotPrintedError):  # a study need not print all that its relations use
+            yield relation.row(numbers)
+    yield from sample_checks(numbers)
+    yield from remarks(numbers, conflicts)
+    yield from restated_rows(numbers)
 
 
 def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
@@ -58,15 +62,19 @@ def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
     >>> import trustlab as tl
     >>> verdicts = tl.audit()
     >>> verdicts["verdict"].value_counts().to_dict()
-    {'not checkable': 445, 'reproduced': 178, 'differs': 23, 'within rounding': 23}
+    {'not checkable': 444, 'reproduced': 178, 'differs': 23, 'within rounding': 23}
     """
     numbers = printed_numbers(changes)
-    rows = [row for maker in MAKERS for row in rows_of(maker(numbers), numbers)]
+    conflicts = study_conflicts(numbers)
+    rows = list(quick_rows(numbers, conflicts))
+    rows += joint_rows(numbers, {row.id: row for row in rows})
     # A number counts as checked if a row has its id, or continues it after a slash; to be printed
     # twice is no check.
     checks = [row.id for row in rows if not row.id.endswith("/duplicate")]
     checked = {start for id in checks for start in _ancestors(id)}
-    rows += [row_about(numbers[id], why_unchecked(id)) for id in numbers if id not in checked]
+    for id in numbers.keys() - checked:
+        verdict = "differs" if id in conflicts else "not checkable"
+        rows.append(row_about(numbers[id], conflicts.get(id) or why_unchecked(id), verdict))
     differ = {row.id for row in rows if row.verdict == "differs"}
     order = {id: i for i, id in enumerate(numbers)}
 
@@ -89,53 +97,3 @@ def _ancestors(id: str) -> list[str]:
     """Return an id and what it begins with, up to each slash, longest first."""
     parts = id.split("/")
     return ["/".join(parts[:i]) for i in range(len(parts), 0, -1)]
-
-
-COLOURS = dict(zip(VERDICTS, ("C2", "C5", "C1", "#bbbbbb"), strict=True))
-
-
-def _part_of(where: str) -> str:
-    """Return the part of the dissertation that the place of a printed number belongs to."""
-    parts = published_facts("parts").items()
-    return next(part for part, starts in parts if where.startswith(tuple(starts)))
-
-
-def verdict_counts(verdicts: pd.DataFrame) -> pd.DataFrame:
-    """
-    Count the audit's verdicts, part by part.
-
-    Parameters
-    ----------
-    verdicts : pandas.DataFrame
-        What `audit` returns.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Index part; a column per verdict, and all.
-    """
-    parts = verdicts["where"].map(_part_of).rename("part")
-    counts = pd.crosstab(parts, verdicts["verdict"]).reindex(columns=list(VERDICTS), fill_value=0)
-    return counts.assign(all=counts.sum(axis=1))
-
-
-def plot_ranges(rows: pd.DataFrame, ax=None):
-    """
-    Draw recomputed values, their ranges within rounding, and the printed numbers.
-
-    Parameters
-    ----------
-    rows : pandas.DataFrame
-        Rows of the audit about one quantity, with a range.
-    ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure when not given.
-    """
-    ax = axes_or_new(ax, figsize=(7.2, 0.3 + 0.5 * len(rows)))
-    for i, row in enumerate(rows.itertuples()):
-        ax.plot([row.low, row.high], [i, i], color="#999999", lw=6, solid_capstyle="butt", zorder=1)
-        ax.plot(row.recomputed, i, "o", color="black", zorder=2)
-        ax.plot(float(row.printed), i, "D", color=COLOURS[row.verdict], zorder=3)
-    ax.set_yticks(range(len(rows)), [where.partition(", ")[2] for where in rows["where"]])
-    ax.invert_yaxis()
-    ax.set_xlabel("recomputed (dot), its range within rounding (bar), printed (diamond)")
-    return ax

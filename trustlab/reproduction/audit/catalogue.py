@@ -1,7 +1,6 @@
 """Every printed number under an id of its own, from data/published/."""
 
 import math
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
@@ -101,10 +100,6 @@ def conditions_of(study: str) -> tuple[str, ...]:
     return CONDITIONS[study.split(".")[0]]
 
 
-def _slug(text: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "_", text.lower().replace("[%]", "")).strip("_")
-
-
 def _tables() -> Iterator[PrintedNumber]:
     for number in TABLES:
         for row, cells in published_table(number).iterrows():
@@ -136,32 +131,23 @@ def _studies() -> Iterator[PrintedNumber]:
 
 
 @cache
-def claims() -> list[tuple[PrintedNumber, str, str, str]]:
+def statements() -> list[tuple[str, ...]]:
     """
-    Return each claim of claims.csv, its reading, and the ids of the means after and before.
+    Return the rows of statements.csv: id, where, what is stated, its text, and, of a claim that
+    compares two means, its reading and their ids.
 
     Readings: "relative", a change in % of the mean before; "points", a difference on a scale from 0
     to 100; "share", one of shares between 0 and 1; "range", a difference in % of the range of robot
-    performance, (2.39); or none of these.
+    performance, (2.39).
     """
-    table = pd.read_csv(published_folder() / "claims.csv", dtype=str, keep_default_na=False)
-    listed = []
-    for where, claim, printed, reading, after, before in table.itertuples(index=False):
-        start, _, against = claim.partition(" over ")
-        texts, references = printed.split(" / "), before.split(" / ")
-        names = [claim]
-        if len(texts) > 1:  # one claim against several conditions: "C4 over C1 / C2 / C3 [%]"
-            names = [f"{start} over {condition} [%]" for condition in re.findall(r"C\d", against)]
-        for name, text, mean in zip(names, texts, references, strict=True):
-            id = f"claim/{_slug(where)}/{_slug(name)}"
-            listed.append((PrintedNumber(id, where, name, text), reading, after, mean))
-    return listed
+    path = published_folder() / "statements.csv"
+    return list(pd.read_csv(path, dtype=str, keep_default_na=False).itertuples(index=False))
 
 
 def _statements() -> Iterator[PrintedNumber]:
-    table = pd.read_csv(published_folder() / "statements.csv", dtype=str)
-    for id, where, statement, printed in table.itertuples(index=False):
-        yield PrintedNumber(id, where, statement, printed, exact=printed.isdecimal())
+    for id, where, statement, printed, reading, _, _ in statements():
+        exact = printed.isdecimal() and not reading
+        yield PrintedNumber(id, where, statement, printed, exact)
 
 
 @cache
@@ -179,23 +165,18 @@ def why_unchecked(id: str) -> str:
 @cache
 def _all_numbers() -> dict[str, PrintedNumber]:
     """Return every printed number by id, read once."""
-    claimed = [number for number, *_ in claims()]
-    numbers = [*_tables(), *_pilot(), *_studies(), *claimed, *_statements()]
+    numbers = [*_tables(), *_pilot(), *_studies(), *_statements()]
     return {number.id: number for number in numbers}
 
 
 def printed_numbers(changes: Mapping[str, str] | None = None) -> dict[str, PrintedNumber]:
     """
-    Return every printed number by id: tables, studies, claims and statements.
+    Return every printed number by id: tables, studies and statements.
 
     `changes` puts other values in place of printed ones, by id.
     """
     if changes is not None and not isinstance(changes, Mapping):
-        raise ValueError(
-            "changes must map ids to texts of numbers, for example "
-            f"{{'table_2.1/a_r/1': '0.9992'}}, got {shown(changes)}; "
-            'to select rows of the audit: verdicts[verdicts["verdict"] == "differs"]'
-        )
+        raise ValueError(f"changes must map ids to texts of numbers, got {shown(changes)}")
     numbers = dict(_all_numbers())
     for id, text in (changes or {}).items():
         numbers[id] = _changed(numbers, id, text)

@@ -9,9 +9,8 @@ it several.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import replace
-from fnmatch import filter as matching, fnmatchcase
+from fnmatch import filter as matching
 from types import MappingProxyType
 from typing import Any
 
@@ -25,15 +24,8 @@ from trustlab.allocation.bounds import (
 )
 from trustlab.allocation.limits import limits_as_printed
 from trustlab.models.tsc import TscConstants, gain_of_human_performance, performance_weights
-from trustlab.reproduction.audit.catalogue import PARTICIPANTS, claims
-from trustlab.reproduction.audit.check import (
-    Allows,
-    Follows,
-    Formula,
-    NotPrintedError,
-    Numbers,
-    completed,
-)
+from trustlab.reproduction.audit.catalogue import PARTICIPANTS, statements
+from trustlab.reproduction.audit.check import Allows, Follows, Formula, Numbers
 from trustlab.studies.anova import mauchly_factor, mauchly_p_value
 
 INFINITE = float("inf")
@@ -180,10 +172,15 @@ def left_over(orders: int) -> Callable[[Any], np.ndarray]:
     return lambda v: v.participants % orders
 
 
-def mean_of(row: str) -> Formula:
-    """Return the mean over participants of a row of Table 2.1."""
-    ids = {"x": f"table_2.1/{row}/*"}
-    return Formula(f"mean of {row} of Table 2.1", lambda v: v.x.mean(axis=0), ids=ids)
+def mean_limits(p: str) -> Allows:
+    """Return that the mean of a performance lies between the means of its least and greatest."""
+    ends = {end: f"table_2.1/{p}_{end}/*" for end in ("min", "max")}
+    return Allows(
+        f"table_2.5/*/{p}_mean",
+        f"mean of {p}_min of Table 2.1 … mean of {p}_max of Table 2.1",
+        lambda v: (v.min.mean(axis=0), v.max.mean(axis=0)),
+        ids=ends,
+    )
 
 
 def lower_limit(v: Any) -> np.ndarray:
@@ -195,8 +192,10 @@ def within_limits(of: str, binding: str, where: Mapping[str, str] = MappingProxy
     """Return that thresholds lie between the limits by (2.9) and (2.10), which need not be so."""
     return Allows(
         of,
-        Formula("TSC_lb (2.9)", lower_limit, ids=where),
-        Formula("TSC_ub (2.10)", upper_limit, ids=where, as_printed=("b_pr",)),
+        "TSC_lb (2.9) … TSC_ub (2.10)",
+        lambda v: (lower_limit(v), upper_limit(v)),
+        ids=where,
+        as_printed=("b_pr",),
         binding=binding,
     )
 
@@ -205,7 +204,6 @@ STEP = "a_T δ_Pr + b_T δ_Ph"
 BEYOND = "Beyond the limits between which Theorem 1 guarantees switching."
 UPPER = "a'_3 P_h + b'_3 (2.10)"
 CHANGE = "100 |after − before|/before"
-ZERO = Formula("0", lambda v: 0)
 FIVE = {"x": "./[1-5]"}
 
 MODELS: tuple[Follows | Allows, ...] = (
@@ -264,14 +262,14 @@ MODELS: tuple[Follows | Allows, ...] = (
     within_limits("section_2_5/TSC_*", f"Suspicious: {BEYOND}", at("pilot", *LIMIT_INPUTS, "b_pr")),
     Allows(
         "table_2.3/TSC_u.mean/*",
-        Formula("TSC_lb", lambda v: v.TSC_lb),
-        Formula("TSC_ub", lambda v: v.TSC_ub),
+        "TSC_lb … TSC_ub",
+        lambda v: (v.TSC_lb, v.TSC_ub),
         binding=f"{BEYOND} It is captured, and the condition is sufficient, not necessary.",
     ),
     Allows(
         "*/delta_P_r*",
-        ZERO,
-        Formula("(1 − a_pr)(P_r_max − P_r_min)", lambda v: (1 - v.a_pr) * (v.P_r_max - v.P_r_min)),
+        "0 … (1 − a_pr)(P_r_max − P_r_min)",
+        lambda v: (0, (1 - v.a_pr) * (v.P_r_max - v.P_r_min)),
     ),
     Follows("table_2.2/P_rl/*", "P_rl of (2.15)", lambda v: performance(v).p_r_low),
     Follows("table_2.2/P_ru/*", "P_ru of (2.15)", lambda v: performance(v).p_r_high),
@@ -333,10 +331,8 @@ CASE_STUDY: tuple[Follows | Allows, ...] = (
     lies_above("robot_performance", "23", "1", "table_2.5/P_r"),
     lies_above("human_performance", "23", "1", "table_2.5/P_h"),
     lies_above("utilization", "1", "23", "table_2.5/r"),
-    *(
-        Allows(f"table_2.5/*/{p}_mean", mean_of(f"{p}_min"), mean_of(f"{p}_max"))
-        for p in ("P_r", "P_h")
-    ),
+    mean_limits("P_r"),
+    mean_limits("P_h"),
     Follows("table_2.6/*/mean", "mean of the five", lambda v: v.x.mean(axis=0), ids=FIVE),
     Follows(
         "table_2.6/*/sd",
@@ -348,8 +344,14 @@ CASE_STUDY: tuple[Follows | Allows, ...] = (
     ),
 )
 
-# F, its degrees of freedom, ε, t and Mauchly's test of a study; with an ε, each of ε and the
-# degrees of freedom follows from another.
+
+def epsilon(v: Any) -> Any:
+    """Return the printed ε, 1 where the degrees of freedom are not corrected."""
+    return getattr(v, "ε", 1.0)
+
+
+# F, its degrees of freedom, ε, t and Mauchly's test of a study; each of ε and the degrees of
+# freedom follows from another.
 TESTS: tuple[Follows | Allows, ...] = (
     Follows("*/anova.p", "P(F(df1, df2) > F)", lambda v: stats.f.sf(v.F, v.df1, v.df2)),
     Follows(
@@ -365,18 +367,16 @@ TESTS: tuple[Follows | Allows, ...] = (
             ),
         ),
     ),
-    Follows("*/anova.df1", "k − 1", lambda v: v.k - 1, "k conditions", unless="ε"),
-    Follows("*/anova.df2", "(k − 1)(n − 1)", lambda v: (v.k - 1) * (v.n - 1), unless="ε"),
     Follows(
         "*/anova.df1",
         "df2/(n − 1)",
         lambda v: v.df2 / (v.n - 1),
-        conventions=(Formula("(k − 1) ε", lambda v: (v.k - 1) * v.ε),),
+        conventions=(Formula("(k − 1) ε", lambda v: (v.k - 1) * epsilon(v)),),
     ),
     Follows(
         "*/anova.df2",
         "(k − 1) ε (n − 1)",
-        lambda v: (v.k - 1) * v.ε * (v.n - 1),
+        lambda v: (v.k - 1) * epsilon(v) * (v.n - 1),
         conventions=(Formula("df1 (n − 1)", lambda v: v.df1 * (v.n - 1)),),
     ),
     Follows(
@@ -398,26 +398,18 @@ TESTS: tuple[Follows | Allows, ...] = (
             ),
         ),
     ),
-    *(
-        Follows(
-            "*/sphericity",
-            "p",
-            lambda v: v.p_of_Mauchly,
-            printed=word,
-            ids={"p_of_Mauchly": "./mauchly.p"},
-            target=ends,
-            note="Sphericity is rejected below 0.05.",
-        )
-        for word, ends in (
-            ("met", (0.05, 1.0)),
-            ("not met", (0.0, 0.05)),
-            ("violated", (0.0, 0.05)),
-        )
+    Follows(
+        "*/sphericity",
+        "p",
+        lambda v: v.p_of_Mauchly,
+        ids={"p_of_Mauchly": "./mauchly.p"},
+        target={"met": (0.05, 1.0), "not met": (0.0, 0.05), "violated": (0.0, 0.05)},
+        note="Sphericity is rejected below 0.05.",
     ),
     Allows(
         "*/mauchly.chi2",
-        Formula("least χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, v.k, False)),
-        Formula("greatest χ² at this ε", lambda v: chi2_of_epsilon(v.ε, v.n, v.k, True)),
+        "least χ² at this ε … greatest χ² at this ε",
+        lambda v: [chi2_of_epsilon(v.ε, v.n, v.k, greatest) for greatest in (False, True)],
     ),
 )
 
@@ -526,8 +518,8 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
     # (3.10) at rest, of a handle of 50 g: no handle of a haptic device is so light.
     Allows(
         "section_3_*/B",
-        Formula("0.05 Λ", lambda v: 0.05 * v.Lambda),
-        Formula("∞", lambda v: INFINITE),
+        "0.05 Λ … ∞",
+        lambda v: (0.05 * v.Lambda, INFINITE),
         binding="Suspicious: (3.10) needs B ≥ MΛ, for a handle lighter than any that a hand holds.",
     ),
     Follows("section_2_4_1_3/laps_in_all", "sets × laps", lambda v: v.sets * v.laps),
@@ -581,12 +573,8 @@ RANKED = (("error", -1), ("tlx", -1), ("trust", 1), ("preference", 1))
 
 def rank_of(scheme: str, sign: int) -> Callable[[Any], np.ndarray]:
     """Return how a scheme's rank among all is computed, 1 for the best."""
-
-    def rank(v: Any) -> np.ndarray:
-        this = getattr(v, f"x_{scheme}")
-        return 1.0 + (sign * v.x > sign * this).sum(axis=0)
-
-    return rank
+    i = SCHEMES.index(scheme)
+    return lambda v: 1.0 + (sign * v.x > sign * v.x[i]).sum(axis=0)
 
 
 RANKS = tuple(
@@ -608,93 +596,50 @@ RELATIONS: tuple[Follows | Allows, ...] = (
     *RANKS,
 )
 
-
-def relations(numbers: Numbers, pattern: str = "*") -> Iterator[Follows | Allows]:
-    """
-    Return every relation about a number whose id matches a pattern.
-
-    A study need not print everything that its relations use.
-    """
-    for relation in RELATIONS:
-        for id in matching(numbers, relation.of):
-            if fnmatchcase(id, pattern) and relation.printed in ("", numbers[id].printed):
-                with suppress(NotPrintedError):
-                    yield completed(replace(relation, of=id), numbers)
-
-
-def related(number: str, numbers: Numbers) -> Follows:
-    """Return the first relation that a number follows from."""
-    return next(check for check in relations(numbers, number) if isinstance(check, Follows))
-
-
-def _by_range(number: str, after: str, before: str) -> Follows:
-    """Return the check of a difference in % of the range of P_r, or relative to the first."""
-    ends = {end: f"remark_7/{end}" for end in ("P_r_min", "P_r_max")}
-    relative = Formula(
-        "100 (after − before)/(before − P_r_min)",
-        lambda v: 100 * (v.after - v.before) / (v.before - v.P_r_min),
-        "relative change of (2.39)",
-        {"after": after, "before": before, **ends},
-    )
-    return Follows(
-        number,
+RELATIVE = Formula(CHANGE, change, "relative change")
+PERCENT = "Printed with a % sign, which reads as a relative change."
+# How a claim is read that compares two means, by its reading in statements.csv.
+READINGS = {
+    "relative": Follows("", CHANGE, change, "relative change"),
+    "points": Follows(
+        "",
+        "|after − before|",
+        lambda v: abs(v.after - v.before),
+        "difference in units of the measure, printed as %",
+        conventions=(RELATIVE,),
+        note=PERCENT,
+    ),
+    "share": Follows(
+        "",
+        "100 |after − before|",
+        lambda v: 100 * abs(v.after - v.before),
+        "percentage points",
+        conventions=(RELATIVE,),
+        note=PERCENT,
+    ),
+    "range": Follows(
+        "",
         "100 (after − before)/(P_r_max − P_r_min)",
         lambda v: 100 * (v.after - v.before) / (v.P_r_max - v.P_r_min),
         "difference of two values of (2.39)",
-        relative.ids,
-        conventions=(relative,),
-    )
-
-
-def _in_points(relative: Follows, scale: float, numbers: Numbers) -> Follows:
-    """Return the check of a difference times `scale`, 100 for shares, or of a relative change."""
-    would, _, _ = relative.range(numbers)
-    times = "" if scale == 1.0 else f"{scale:g} "
-    return replace(
-        relative,
-        text=f"{times}|after − before|",
-        compute=lambda v: scale * abs(v.after - v.before),
-        label="percentage points" if times else "difference in units of the measure, printed as %",
-        conventions=(relative,),
-        note="Printed with a % sign, which reads as a relative change; that would be "
-        f"{would:.1f} %.",
-    )
-
-
-def _as_change(relative: Follows, numbers: Numbers) -> Follows:
-    """
-    Return the check of a relative change; a mean of two decimals may have been used with three.
-    """
-    after = relative.ids["after"]
-    mean, condition = numbers[after], after.partition("/")[2].removeprefix("mean.")
-    finer = [mean.value + k / 1000 for k in (-1, 1, -2, 2, -3, 3, -4, 4) if mean.decimals == 2]
-
-    def with_mean(value: float) -> Formula:
-        label = f"the mean of {condition} was {value:.3f}, printed as {mean.printed}"
-        return replace(relative, label=label, fixed={"after": value})
-
-    return replace(relative, explanations=tuple(map(with_mean, finer)))
-
-
-def _claim(number: str, reading: str, after: str, before: str, numbers: Numbers) -> Follows:
-    """Return the check of a claim by its reading."""
-    if reading == "range":
-        return _by_range(number, after, before)
-    ids = {"after": after, "before": before}
-    relative = Follows(number, CHANGE, change, "relative change", ids)
-    if reading == "relative":
-        return _as_change(relative, numbers)
-    return _in_points(relative, 100.0 if reading == "share" else 1.0, numbers)
-
-
-def claim_checks(numbers: Numbers) -> list[Follows]:
-    """Return the checks of the printed percentages and differences."""
-    mean = "teleop.tlx/mean.{}".format
-    return [
-        *(
-            _claim(claim.id, reading, after, before, numbers)
-            for claim, reading, after, before in claims()
-            if reading
+        conventions=(
+            Formula(
+                "100 (after − before)/(before − P_r_min)",
+                lambda v: 100 * (v.after - v.before) / (v.before - v.P_r_min),
+                "relative change of (2.39)",
+            ),
         ),
-        _claim("section_3_1/workload", "points", mean("TMIG"), mean("MMI"), numbers),
-    ]
+    ),
+}
+
+
+def relations(numbers: Numbers) -> Iterator[Follows | Allows]:
+    """Return every relation about every number that it matches, and the readings of claims."""
+    for relation in RELATIONS:
+        for id in matching(numbers, relation.of):
+            yield replace(relation, of=id)
+    ends = at("remark_7", "P_r_min", "P_r_max")
+    for id, _, _, _, reading, after, before in statements():
+        if reading:
+            ids = {"after": after, "before": before, **ends}
+            yield replace(READINGS[reading], of=id, ids=ids)
