@@ -65,7 +65,7 @@ class Record:
         commands = entry.get("commands", [])
         if not commands:
             return
-        gap = entry["at"] - self._heard
+        gap = max(entry["at"] - self._heard, 0.0)  # the clock may have been set back
         if self.commands and (self._noted or gap > STILL):
             why = "; ".join(self._noted) or "nothing was heard"
             row = len(self.commands)

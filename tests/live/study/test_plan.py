@@ -130,6 +130,12 @@ def test_a_damaged_file_beside_the_study_is_named(make_plan):
         path.unlink()
 
 
+def test_a_plan_that_cannot_be_served_is_not_frozen(tmp_path):
+    with pytest.raises(ValueError, match="guidance must be one of"):
+        tl.LiveStudy(tmp_path / "s", participants=5, task="teleoperation", guidance="nonsense")
+    assert not (tmp_path / "s").exists()
+
+
 def test_settings_of_flights_and_teams_are_named():
     for settings in (LeadingSettings, TeleoperationSettings):
         with pytest.raises(TypeError, match="positional"):

@@ -124,6 +124,12 @@ def test_answers_tell_browsers_to_run_and_fetch_nothing_else(served, client):
     assert stat.S_IMODE(tokens_path(served.plan.folder).stat().st_mode) == 0o600
 
 
+def test_a_page_and_its_drive_load_less_than_200_kilobytes(served, client, page):
+    loaded = sum(map(len, served.server.files.values()))
+    loaded += len(client(served.links["P01"] + "/state").content)
+    assert loaded + len(json.dumps(page.begin())) < 200_000
+
+
 def test_the_participant_is_told_no_condition(served, client, page, driving_page):
     url, said = served.links["P01"], b""
     for path in ("", "/state"):
@@ -228,6 +234,26 @@ def test_a_disk_that_is_full_acknowledges_nothing(served, client, page, full_dis
     assert len(record(served.plan).commands) == 5
     assert client(f"{served.server.experimenter}/state").json["trouble"] == ""
     assert "is saved again" in caplog.text
+
+
+def test_a_slow_disk_holds_up_its_own_log_only(served, client, page, driving_page, monkeypatch):
+    client(served.links["P02"] + "/answers", CONSENT)
+    other = driving_page(served.links["P02"])
+    other.begin()
+    slow, sync = served.server.participant("P01").trial.log.handle, os.fsync
+
+    def synced(handle):
+        if handle == slow:
+            time.sleep(2.0)
+        sync(handle)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    page.socket.send(json.dumps({"window": "a", "k": 0, "commands": [[0.3, 0.1, 1]], "seen": 0}))
+    began = time.monotonic()
+    assert [other.drive(k, 1)["k"] for k in range(5)] == [1, 2, 3, 4, 5]
+    assert time.monotonic() - began < 1.0
+    assert json.loads(page.socket.recv())["k"] == 1
+    assert time.monotonic() - began > 1.9
 
 
 def test_a_second_click_and_a_second_window_find_the_page_done(served, client):
@@ -468,17 +494,18 @@ def nonsense(rng, depth=0):
     return str(rng.choice(words)) if kind < 2 else known[rng.integers(len(known))]
 
 
-def test_random_bodies_and_messages_make_no_mistake(served, client, page):
+@pytest.mark.parametrize("count", [300, pytest.param(1500, marks=pytest.mark.long)])
+def test_random_bodies_and_messages_make_no_mistake(served, client, page, count):
     """What is refused is refused by a number below 500, and lets nothing in."""
     rng = np.random.default_rng(0)
     experimenter = served.server.experimenter
     links = [f"{served.links['P02']}/answers", f"{experimenter}/act", f"{served.links['P02']}/x"]
     links += [f"{served.base}/join/{'x' * 22}", f"{served.base}/p/{'y' * 22}/answers"]
-    statuses = [client(links[k % 5], nonsense(rng)).status for k in range(400)]
+    statuses = [client(links[k % 5], nonsense(rng)).status for k in range(count)]
     assert max(statuses) < 500
     assert "This page cannot go on" in page.say(k=0, commands=[[9.0, 0.1, 1]], seen=0)["refused"]
     texts = ["", "{", "[]", "3", '{"k": NaN}', "[" * 5000, '"\\ud83d"']
-    for text in [*texts, *(json.dumps(nonsense(rng)) for _ in range(400))]:
+    for text in [*texts, *(json.dumps(nonsense(rng)) for _ in range(count))]:
         page.socket.send(text)
         answer = json.loads(page.socket.recv())
         assert {"refused", "k", "done"} & set(answer), answer
