@@ -5,6 +5,7 @@ import json
 import os
 import re
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakValueDictionary
@@ -17,10 +18,11 @@ from trustlab.live.log import LogError
 from trustlab.live.study.pages import read_words
 from trustlab.live.task import LiveTask, prepare
 from trustlab.live.tasks import ground_robot, team, teleoperation
+from trustlab.live.tasks.ground_robot import DriveSettings
 from trustlab.live.tasks.team import LeadingSettings
 from trustlab.live.tasks.teleoperation import TeleoperationSettings
 from trustlab.live.trial import Trial, read_record
-from trustlab.models.checks import check_participant, flag, of_class, one_of, whole_number
+from trustlab.models.checks import check_participant, of_class, one_of, whole_number
 from trustlab.models.digest import digest
 from trustlab.models.extras import extra
 from trustlab.models.files import path_of
@@ -187,9 +189,6 @@ class LiveGroundRobot(LiveWidget):
         Who drives.
     seed : int
         Of the robot's sensing.
-    show_map : bool
-        Whether a small map shows where the robot is; for experimenters, since it makes the task
-        easier.
     log : path-like, optional
         The file of the run's log; one under the user's state folder when not given. Each command
         is on the disk before it is done.
@@ -238,23 +237,17 @@ class LiveGroundRobot(LiveWidget):
         laps: int = 2,
         participant: str | int = "me",
         seed: int = 0,
-        show_map: bool = False,
         log: str | Path | None = None,
         language: str = "en",
     ):
         one_of("condition", condition, CONDITIONS)
         self.model = of_class("model", model, TscModel)
         pair = given_thresholds(condition, thresholds)
-        if pair is not None:
-            pair = check_thresholds(self.model, pair)
-        config = ground_robot.drive_config(
-            condition,
-            model,
-            pair or (0.0, 0.0),
-            whole_number("laps", laps, most=8),
-            whole_number("seed", seed, least=0, most=2**53 - 1),  # JSON keeps no larger one
-            show_map=flag("show_map", show_map),
-        )
+        pair = (0.0, 0.0) if pair is None else check_thresholds(self.model, pair)
+        seed = whole_number("seed", seed, least=0, most=2**53 - 1)  # JSON keeps no larger one
+        content = DriveSettings(laps=whole_number("laps", laps, most=8)).as_json()
+        known = {"model": asdict(model), "thresholds": pair}
+        config = ground_robot.drive_config(content, condition, seed, known)
         ground_robot.warn_if_too_short(config)
         super().__init__(ground_robot.TASK, config, participant, log, language)
 
@@ -376,7 +369,7 @@ class LiveTracking(LiveWidget):
         where = guidance.where if isinstance(guidance, Guidance) else guidance
         settings = TeleoperationSettings(duration=duration, study=loop.study, guidance=where)
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
-        config = teleoperation.flight_config(settings.as_json(), self.scheme.name, {}, seed, task)
+        config = teleoperation.flight_config(settings.as_json(), self.scheme.name, seed, task=task)
         # what parts of your own are recognized by after a restart of the kernel
         names = {name: str(getattr(part, "__qualname__", part)) for name, part in parts.items()}
         config |= {"parts": names}
@@ -459,5 +452,5 @@ class LiveTeam(LiveWidget):
         settings = LeadingSettings() if settings is None else settings
         content = of_class("settings", settings, LeadingSettings).as_json()
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
-        config = team.TASK.config(content, condition, {}, seed)
+        config = team.team_config(content, condition, seed)
         super().__init__(team.TASK, config, participant, log, language)

@@ -120,7 +120,7 @@ def test_who_joins_takes_the_next_free_place_and_gets_a_code(make_plan, client):
 
 
 def test_a_study_fixes_a_least_delay_and_marks_who_saw_later(tmp_path):
-    """Pictures are as late as the study says in the first drive, by three periods more in the next."""
+    """Pictures are as late as the study says in the first drive, later by .15 s in the next."""
     settings = {"duration": 1.0, "training": 1.0, "least_delay": 0.3, "rehearsal": True}
     plan = tl.LiveStudy(tmp_path / "s", ["by_hand", "most_trusted"], 2, task="team", **settings)
     plan.rehearse(0)

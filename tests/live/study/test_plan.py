@@ -163,7 +163,7 @@ def test_conditions_and_courses_of_ones_own_are_driven(make_plan):
     with pytest.raises(ValueError, match="holds a frozen plan with other own_conditions"):
         make_plan(["C3", tl.LiveCondition("slow", "tsc", True, 9.0)], 2, **options)
     for name, notice in (("C3", 3.0), ("slow", 10.0)):
-        config = drive_of(plan.content, name, plan.content["stand_in"], seed=1)
+        config = drive_of(plan.content, name, seed=1)
         assert config["path"] == course.path.tolist()
         log = drive_rows(config, lambda mode, suggested: 1)  # nothing is accepted
         mode = log["mode"].to_numpy()
@@ -183,7 +183,7 @@ def test_a_rule_of_ones_own_is_driven(make_plan):
     options = {"laps": 3, "training": 5.0, "rehearsal": True}
     plan = make_plan(["C1", rest], 2, **options)
     assert make_plan(["C1", rest], 2, **options).content == plan.content
-    config = drive_of(plan.content, "rest", plan.content["stand_in"], seed=1)
+    config = drive_of(plan.content, "rest", seed=1)
     # Everything is accepted.
     log = drive_rows(config, lambda mode, suggested: mode if suggested < 0 else suggested)
     standing, expected = 1, []

@@ -79,7 +79,7 @@ class Squares {
     drawPad(this.pad, stick.read(), { device, guide: force }, this.largest);
     // A vibration cue: it has no direction.
     stick.rumble(size / this.largest);
-    const seconds = Math.max(config.duration - k * config.sample_time, 0).toFixed(0);
+    const seconds = Math.max((config.samples - k) * config.sample_time, 0).toFixed(0);
     const left = filled(config.words.time_left, { seconds });
     say(this.status, this.still ? config.words.waiting : left);
   }

@@ -60,7 +60,7 @@ class Attempt(NamedTuple):
         """
         known = model or stand_in(self.plan, "no identification drive")
         condition = self.step.condition or self.step.page.name
-        config = drive_of(self.plan.content, condition, known, self.seed)
+        config = drive_of(self.plan.content, condition, self.seed, model)
         return config, {"condition": condition, "source": known["source"], "why": known["why"]}
 
     def read(self, link: str | None = None) -> tuple[Record | None, str]:
@@ -97,12 +97,12 @@ class Attempt(NamedTuple):
         )
 
 
-def drive_of(content: dict, condition: str, known: dict, seed: int) -> dict:
+def drive_of(content: dict, condition: str, seed: int = 0, known: dict | None = None) -> dict:
     """
-    Return the settings of a drive of a study with this content, with a known model and thresholds,
-    as a log will hold them.
+    Return the settings of a drive of a study with this content, as a log will hold them; a known
+    model and thresholds take the place of the stand-in's.
     """
-    config = task_named(content["task"]).config(content, condition, known, seed)
+    config = task_named(content["task"]).config(content, condition, seed, known)
     config["late"] = max(config["late"], content["least_delay"])
     if content["rehearsal"]:
         config["clock"] = "accelerated"
@@ -111,9 +111,10 @@ def drive_of(content: dict, condition: str, known: dict, seed: int) -> dict:
 
 def stand_in(plan: Plan, why: str) -> dict:
     """Return the plan's own model and thresholds, with the reason why they stand in."""
-    if "stand_in" not in plan.content:  # a task whose drives need no model of the person
+    known = plan.content.get("stand_in")
+    if known is None:  # a task whose drives need no model of the person
         return {"source": "", "why": ""}
-    return {"source": FROM_STAND_IN, "why": why, **plan.content["stand_in"]}
+    return {"source": FROM_STAND_IN, "why": why, **known}
 
 
 def identified(plan: Plan, session: Session) -> dict:

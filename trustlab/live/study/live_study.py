@@ -134,9 +134,8 @@ class LiveStudy(Plan):
         for page in content["pages"]:
             one_of(f"group of the page {page['name']}", page["group"], ("", *groups))
         # What cannot be driven is refused now.
-        known = content.get("stand_in", {})
         for name in (*protocol.practice, *names):
-            config = drive_of(content, name, known, seed=0)
+            config = drive_of(content, name)
         if task == "ground_robot":
             warn_if_too_short(config)
         content = json.loads(json.dumps(content))  # as it will be read again

@@ -19,7 +19,7 @@ from trustlab.models.checks import one_of
 from trustlab.models.digest import digest
 from trustlab.models.files import write_atomically
 
-FORMAT = 4
+FORMAT = 5
 PLAN = "study.json"
 EVENTS = "events"
 EXPERIMENTER = "experimenter"

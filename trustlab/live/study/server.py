@@ -23,7 +23,7 @@ from typing import Any, Self
 from urllib.parse import urlsplit
 
 from trustlab.live.log import Log, LogError
-from trustlab.live.study.drives import drive_of, stand_in
+from trustlab.live.study.drives import drive_of
 from trustlab.live.study.pages import AnswerError
 from trustlab.live.study.participant import Participant, RefusedError
 from trustlab.live.study.plan import (
@@ -571,7 +571,7 @@ class StudyServer:
             ) from None
         files.callback(self.log.close)
         self.log.append([{"at": time.time(), **made_by()}])
-        training = drive_of(self.plan.content, "training", stand_in(self.plan, ""), seed=0)
+        training = drive_of(self.plan.content, "training")
         prepare(self.plan.task, training)
         self.holder("")
         # Everybody has two logs, and the process some files of its own.

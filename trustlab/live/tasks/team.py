@@ -1,6 +1,7 @@
 """A team as a live task: one person leads it to goals through whichever robot leads."""
 
 from dataclasses import asdict, dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from trustlab.live.task import (
     hand_config,
     trust_of,
 )
-from trustlab.models.checks import between, positive, whole_number
+from trustlab.models.checks import Positive, whole_number
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.team.decisions import POLICIES, TeamSituation
 from trustlab.teleoperation.team.settings import (
@@ -103,15 +104,13 @@ class LeadingSettings(HandSettings):
 
     robots: int = 4
     goals: int = 3
-    min_dwell: float = 5.0
-    tolerance: float = 0.4
+    min_dwell: Annotated[float, (1.0, 60.0)] = 5.0
+    tolerance: Positive = 0.4
 
     def __post_init__(self):
+        super().__post_init__()
         whole_number("robots", self.robots, least=3, most=6)
         whole_number("goals", self.goals, most=20)
-        between("min_dwell", self.min_dwell, 1.0, 60.0)
-        positive("tolerance", self.tolerance)
-        super().__post_init__()
 
 
 def ring(count: int) -> np.ndarray:
@@ -226,7 +225,7 @@ class LeadingRun:
         }
 
 
-def team_config(content: dict, condition: str, known: dict, seed: int) -> dict:
+def team_config(content: dict, condition: str, seed: int, known: dict | None = None) -> dict:
     """Return the settings of a run; start, goals and abilities are drawn from its seed."""
     rng = np.random.default_rng(seed)
     count = content["robots"]
@@ -238,13 +237,14 @@ def team_config(content: dict, condition: str, known: dict, seed: int) -> dict:
         content,
         condition,
         seed,
-        ("leader_choice", 0, count),
+        [0, count],
         chooses=condition in ("training", BY_HAND, SUGGESTED),
         start=start.tolist(),
         goals=_goals(content["goals"], rng),
         robots=[asdict(robot) for robot in abilities],
         gains=gains_of(count),
         min_dwell=content["min_dwell"],
+        facts={"min_dwell": content["min_dwell"]},
         tolerance=content["tolerance"],
         field=FIELD + START,
         columns=[*COLUMNS, *(f"trust_{i}" for i in range(1, count + 1))],
@@ -292,6 +292,5 @@ TASK = LiveTask(
     begin=LeadingRun,
     hand=ScriptedLeader,
     measures=team_measures,
-    facts=lambda config, table: {"min_dwell": config["min_dwell"]},
     decisions=COLUMNS[-6:],
 )
