@@ -5,7 +5,7 @@
 // picture as late as the camera, and as late as the connection alone; wait(on), it stands still.
 import { Hands } from "./hands.js";
 import { MIDDLE, PAD_STYLE, SIZE, Stick, dot, drawPad, drawPicture } from "./pad.js";
-import { clamp, dress, element, filled, gamepad, keepKeys, say, stroke } from "./page.js";
+import { clamp, addStyle, element, filled, gamepad, keepKeys, say, stroke } from "./page.js";
 import { furnish, refusal } from "./view.js";
 
 const COLOURS = ["#0072b2", "#a04800", "#00784f", "#8a3b8f", "#8c6d00", "#47525e"];
@@ -59,7 +59,7 @@ class Squares {
       right = element("canvas", { className: "pad", ariaLabel: words.square, ...size });
     this.status = element("div", { className: "status", role: "status" });
     this.below = element("div", { className: "below" }, this.status);
-    dress(root, PAD_STYLE);
+    addStyle(root, PAD_STYLE);
     root.className = "tl-track";
     root.tabIndex = 0;
     keepKeys(root);

@@ -1,5 +1,5 @@
 // What a driver sees: camera, gauges and panel.
-import { clamp, dress, element, filled, keepKeys, say, stroke } from "./page.js";
+import { clamp, addStyle, element, filled, keepKeys, say, stroke } from "./page.js";
 
 export const STYLE = `
 .tl-drive {
@@ -280,7 +280,7 @@ export class Panel {
 
 export function furnish(root, config, toggle, signal) {
   const { words } = config;
-  dress(root, STYLE);
+  addStyle(root, STYLE);
   root.classList.add("tl-drive");
   root.tabIndex = 0;
   const camera = element("canvas", { ariaLabel: words.camera }),

@@ -14,7 +14,6 @@ import json
 import resource
 import tempfile
 import threading
-import time
 from collections.abc import Awaitable, Container
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -22,7 +21,7 @@ from pathlib import Path
 from typing import Any, Self
 from urllib.parse import urlsplit
 
-from trustlab.live.log import Log, LogError
+from trustlab.live.log import BusyError, LogError
 from trustlab.live.study.drives import drive_of
 from trustlab.live.study.pages import AnswerError
 from trustlab.live.study.participant import Participant, RefusedError
@@ -61,11 +60,9 @@ LARGEST_BODY = 100_000
 MOST_CONNECTIONS, MOST_OF_ADDRESS = 1000, 100
 """Connections in all, and of one address; behind a proxy all have its address."""
 
+MOST_FILES = 65_536
 WRITERS = 64
 """Requests that may wait for the disk at once: a slow one holds up its own participant alone."""
-
-SERVED = ".served"
-"""The file that a server locks, with a line for each start."""
 
 HEADER_TIME = 10.0
 """How long the head of a request may take [s]."""
@@ -139,9 +136,9 @@ class Base(tornado.web.RequestHandler):
         try:
             self.write(await work)
             if self.request.method == "POST":
-                self.server.saved()
+                self.server.disk_said("")
         except OSError as error:
-            self.server.not_saved(error)
+            self.server.disk_said(error.strerror or str(error))
             self.set_status(507)
             self.finish({"error": f"nothing can be saved: {self.server.disk}"})
         except AnswerError as error:
@@ -302,9 +299,9 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
         try:
             message = parsed(text) | {"page": self.number}
             answer = await self.server.ask(self.code, "drive", message)
-            self.server.saved()
+            self.server.disk_said("")
         except OSError as error:
-            self.server.not_saved(error)
+            self.server.disk_said(error.strerror or str(error))
             answer = {"trouble": words["disk"]}
         except DeletedError:
             answer = {"done": True}
@@ -319,13 +316,13 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
 class Listener(tornado.httpserver.HTTPServer):
     """A server that closes connections beyond a number, in all and of an address."""
 
-    most = most_of_address = MOST_CONNECTIONS
+    most_of_address = MOST_OF_ADDRESS
 
     def handle_stream(self, stream: Any, address: tuple) -> None:
         """Take a connection, or close it."""
         contexts: list[Any] = [connection.context for connection in self._connections]
         same = sum(context.address[:1] == address[:1] for context in contexts)
-        if len(contexts) >= self.most or same >= self.most_of_address:
+        if len(contexts) >= MOST_CONNECTIONS or same >= self.most_of_address:
             stream.close()
         else:
             super().handle_stream(stream, address)
@@ -430,21 +427,17 @@ class StudyServer:
         """Note a mistake of ours; the log tells each kind once."""
         if isinstance(error[1], asyncio.CancelledError):  # the server stops, and the page is gone
             return
-        if repr(error[1]) not in self.mistakes:
+        kind = repr(error[1])
+        if kind not in self.mistakes:
             tornado.log.app_log.error("a request could not be answered", exc_info=error)
-        self.mistakes.append(repr(error[1]))
+        self.mistakes.append(kind)
 
-    def saved(self) -> None:
-        """Note that something was written again after a time when nothing could be."""
-        if self.disk:
-            self.disk = ""
-            tornado.log.app_log.error("what people do is saved again")
-
-    def not_saved(self, error: OSError) -> None:
-        """Note that nothing can be written; the log gets one line until it can."""
-        if not self.disk:
-            self.disk = error.strerror or str(error)
-            tornado.log.app_log.error("what people do cannot be saved: %s", self.disk)
+    def disk_said(self, fault: str) -> None:
+        """Note why nothing can be written, "" where it can; the log gets a line for each change."""
+        if bool(fault) != bool(self.disk):
+            said = f"cannot be saved: {fault}" if fault else "is saved again"
+            tornado.log.app_log.error("what people do %s", said)
+        self.disk = fault
 
     def overview(self) -> dict:
         """Return what the experimenter's page shows; `trouble` is of the server itself."""
@@ -530,8 +523,7 @@ class StudyServer:
             idle_connection_timeout=HEADER_TIME,
             body_timeout=30.0,
         )
-        listener.most = min(MOST_CONNECTIONS, max(self.free_handles, 10))
-        listener.most_of_address = listener.most if self.url else MOST_OF_ADDRESS
+        listener.most_of_address = MOST_CONNECTIONS if self.url else MOST_OF_ADDRESS
         listener.add_sockets(sockets)
         self.loop, self.ending = asyncio.get_running_loop(), asyncio.Event()
         self.loop.set_default_executor(ThreadPoolExecutor(WRITERS))
@@ -562,33 +554,24 @@ class StudyServer:
 
     def _opened(self, files: ExitStack) -> list[Any]:
         """Open all that is served, refuse what cannot be, and return sockets that listen."""
-        folder = self.plan.folder
-        try:
-            self.log = Log(folder / SERVED)
-        except LogError:
-            raise ValueError(
-                f"{folder} is being served already, by another process or notebook"
-            ) from None
-        files.callback(self.log.close)
-        self.log.append([{"at": time.time(), **made_by()}])
-        training = drive_of(self.plan.content, "training")
-        prepare(self.plan.task, training)
         self.holder("")
-        # Everybody has two logs, and the process some files of its own.
-        own = 2 * len(self.plan.orders) + 50
+        # Everybody has two logs and some connections: more files than a process usually may have.
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-        most = own + MOST_CONNECTIONS
-        soft = max(soft, most if hard == resource.RLIM_INFINITY else min(most, hard))
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        self.free_handles = soft - own
+        most = MOST_FILES if hard == resource.RLIM_INFINITY else min(MOST_FILES, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, most), hard))
         for code in self.plan.present():
             try:
                 self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
+            except BusyError:
+                raise ValueError(
+                    f"{self.plan.folder} is being served already, by another process or notebook"
+                ) from None
             except LogError as error:  # the others go on
                 self.damaged[code] = str(error)
                 tornado.log.app_log.error("%s", error)
             else:
                 files.callback(self.participants[code].close)
+        prepare(self.plan.task, drive_of(self.plan.content, "training"))
         return tornado.netutil.bind_sockets(self.port, self.address)
 
     def wait(self) -> None:
