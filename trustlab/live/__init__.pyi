@@ -1,5 +1,5 @@
 from .condition import LiveCondition as LiveCondition
-from .study.live_study import LiveStudy as LiveStudy
+from .study.plan import LiveStudy as LiveStudy
 from .study.recorded import RecordedStudy as RecordedStudy, read_live_study as read_live_study
 from .tasks.agreement import policy_agreement as policy_agreement
 from .tasks.ground_robot import DriveSettings as DriveSettings

@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 import trustlab as tl
-from trustlab.live.study.participant import Participant
-from trustlab.live.study.progress import progress_of
+from trustlab.live.study.participant import Participant, progress_of
 from trustlab.live.study.server import StudyServer
 
 # --- features -------------------------------------------------------------------------------------

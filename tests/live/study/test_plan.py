@@ -14,10 +14,9 @@ import pytest
 import trustlab as tl
 from trustlab.live import LeadingSettings, TeleoperationSettings
 from trustlab.live.hands import HumanHand
-from trustlab.live.study import live_study as planning
+from trustlab.live.study import plan as planning
 from trustlab.live.study.__main__ import main
-from trustlab.live.study.drives import drive_of
-from trustlab.live.study.plan import links_path, read_tokens, tokens_path
+from trustlab.live.study.plan import drive_of, links_path, read_tokens, tokens_path
 from trustlab.live.study.server import StudyServer
 from trustlab.live.tasks.ground_robot import TASK, Drive
 from trustlab.testbeds.ground_robot.kernel import COLUMNS

@@ -13,11 +13,10 @@ import numpy as np
 import pandas as pd
 
 from trustlab.live.log import read_log
-from trustlab.live.study.drives import Attempt
 from trustlab.live.study.export import items_of, samples_of, write_export
 from trustlab.live.study.pages import Step, StudyPage
-from trustlab.live.study.plan import EVENTS, Plan, file_origin, read_links
-from trustlab.live.study.progress import Progress, progress_of
+from trustlab.live.study.participant import Attempt, Progress, progress_of
+from trustlab.live.study.plan import EVENTS, LiveStudy, file_origin, read_links
 from trustlab.live.task import LEAST_ROWS, LiveTask
 from trustlab.live.trial import Record
 from trustlab.models.display import as_html
@@ -67,7 +66,7 @@ class RecordedDrive(NamedTuple):
     fault: str
 
 
-def participant_record(plan: Plan, code: str, link: str | None) -> ParticipantRecord:
+def participant_record(plan: LiveStudy, code: str, link: str | None) -> ParticipantRecord:
     """
     Return a participant's record: the events up to the first line that was changed. `link` is what
     was written down of the events beside the study.
@@ -83,7 +82,7 @@ def participant_record(plan: Plan, code: str, link: str | None) -> ParticipantRe
     return ParticipantRecord(reading.entries, progress_of(reading.entries), fault)
 
 
-def recorded_drives(plan: Plan, code: str, record: ParticipantRecord) -> list[RecordedDrive]:
+def recorded_drives(plan: LiveStudy, code: str, record: ParticipantRecord) -> list[RecordedDrive]:
     """Return every attempt at a drive that a participant's events tell of."""
     drives, steps = [], plan.steps(code)
     for event in record.events:
@@ -127,7 +126,7 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     2         P03  C1 C3           0
     3         P04  C3 C1           0
     """
-    plan = Plan.open(folder)
+    plan = LiveStudy.open(folder)
     links = read_links(plan.folder)
     records = {code: participant_record(plan, code, links.get(code)) for code in plan.present()}
     return RecordedStudy(plan, records, tuple(plan.deleted()))
@@ -140,7 +139,7 @@ class RecordedStudy:
 
     Parameters
     ----------
-    plan : Plan
+    plan : LiveStudy
         The frozen plan.
     records : dict of str to ParticipantRecord
         What each participant's events say, by code.
@@ -148,7 +147,7 @@ class RecordedStudy:
         Codes of the participants who were deleted.
     """
 
-    plan: Plan
+    plan: LiveStudy
     records: dict[str, ParticipantRecord]
     deleted: tuple[str, ...]
 

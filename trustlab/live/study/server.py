@@ -22,14 +22,14 @@ from typing import Any, Self
 from urllib.parse import urlsplit
 
 from trustlab.live.log import BusyError, LogError
-from trustlab.live.study.drives import drive_of
 from trustlab.live.study.pages import AnswerError
 from trustlab.live.study.participant import Participant, RefusedError
 from trustlab.live.study.plan import (
     EXPERIMENTER,
     JOIN,
     DeletedError,
-    Plan,
+    LiveStudy,
+    drive_of,
     is_deleted,
     read_tokens,
     tokens_path,
@@ -341,7 +341,7 @@ class StudyServer:
 
     def __init__(
         self,
-        plan: Plan,
+        plan: LiveStudy,
         address: str = "127.0.0.1",
         port: int = 0,
         *,
