@@ -72,6 +72,8 @@ def read_log(path: Path, origin: str = "") -> LogReading:
     """
     entries: list[Any] = []
     links, size = [origin], 0
+    if not path.exists():
+        return LogReading(entries, links, size, fault=f"{path.name} is missing")
     for number, line in enumerate(path.read_bytes().splitlines(keepends=True), 1):
         if not line.endswith(b"\n"):
             fault = f"{path.name}: its last line is torn"

@@ -128,8 +128,6 @@ def difference(task: LiveTask, settings: dict, rows: list, again: list) -> str:
 
 def read_record(path: Path, origin: str = "") -> tuple[Record | None, str, str]:
     """Return what a log says, its last link, and what is wrong with the file ("" if nothing)."""
-    if not path.exists():
-        return None, origin, f"{path.name} is missing"
     reading = read_log(path, origin)
     try:
         header, *entries = reading.entries

@@ -114,7 +114,7 @@ def test_a_folder_lost_in_a_copy_is_nobody_who_was_deleted(make_plan, client):
     """Some copies leave empty folders out."""
     plan = make_plan()
     (plan.folder / "P02").rmdir()
-    assert tl.read_live_study(plan.folder).deleted == ()
+    assert tl.read_live_study(plan.folder).deleted == []
     with StudyServer(plan) as server:
         assert client(server.links()["P02"] + "/state").json["page"] == 0
 

@@ -14,7 +14,7 @@ import pytest
 import trustlab as tl
 from tests.live.cases import entries, events
 from trustlab.live.fit import FROM_FIT, FROM_PART, FROM_STAND_IN, identified
-from trustlab.live.study.export import write_export
+from trustlab.live.study.recorded import write_export
 from trustlab.live.tasks.ground_robot import model_of
 from trustlab.live.trial import Trial
 from trustlab.testbeds import published_operator

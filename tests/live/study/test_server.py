@@ -442,7 +442,7 @@ def test_who_is_deleted_while_the_study_is_served_is_gone(served, client, page):
     seen = client(served.server.experimenter + "/state").json
     assert (seen["deleted"], [person["code"] for person in seen["people"]]) == (1, ["P02", "P03"])
     study = tl.read_live_study(served.plan.folder)
-    assert study.deleted == ("P01",)
+    assert study.deleted == ["P01"]
     assert study.faults().empty
     assert "1 deleted" in study.summary()
 

@@ -78,6 +78,10 @@ class Progress:
             return last
         return next((page for page in range(last) if page not in self.done), last)
 
+    def answers(self, page: int) -> dict:
+        """Return the answers of a page, if there are any: a damaged line may have lost them."""
+        return self.done.get(page, {}).get("answers", {})
+
     def attempt(self, page: int) -> int:
         """Return the number of the current attempt of a drive."""
         return self.attempts.get(page, 0)
