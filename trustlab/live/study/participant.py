@@ -387,7 +387,7 @@ class Participant:
 
     def experimenter_note(self, body: dict) -> None:
         """Add a note of the experimenter's."""
-        Item("note", "", "text", required=True).check(body.get("text"))
+        Item("note", "Note", "text", required=True).check(body.get("text"))
         self.add("note", page=self.step.index, text=body["text"])
 
     def experimenter_end(self, body: dict) -> None:
