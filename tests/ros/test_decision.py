@@ -247,7 +247,7 @@ def test_bad_settings_and_missing_logs_say_what_to_do():
     with pytest.raises(ValueError, match="choose_thresholds"):
         AllocationCore(MODEL, "C3")
     hold = CoreSettings().watchdogs | {"operator": Watchdog(1.0, "hold")}
-    with pytest.raises(ValueError, match="watchdog of operator must hand over or stop"):
+    with pytest.raises(ValueError, match="watchdog of operator must be one of .hand over., .stop."):
         CoreSettings(watchdogs=hold)
     core = AllocationCore(MODEL, "C1")
     core.hear("odometry", 0.0, (0.0, 0.0), 0.0)

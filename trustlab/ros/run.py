@@ -13,8 +13,7 @@ from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.models.checks import one_of
 from trustlab.models.published import published_models
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
-from trustlab.ros.core import AllocationCore
-from trustlab.ros.inputs import FIELDS, CoreSettings, Watchdog
+from trustlab.ros.core import FIELDS, AllocationCore, CoreSettings, Watchdog
 from trustlab.sessions.patterns import FieldPath
 
 
@@ -210,9 +209,10 @@ class RunSettings:
         """
         values = dict(tables)
         settings = dict(values.pop("settings", {}))
-        watchdogs = CoreSettings().watchdogs
-        for name, table in settings.pop("watchdogs", {}).items():
-            watchdogs[name] = _made(Watchdog, f"settings.watchdogs.{name}", table)
+        settings["watchdogs"] = {
+            name: _made(Watchdog, f"settings.watchdogs.{name}", table)
+            for name, table in settings.pop("watchdogs", {}).items()
+        }
         model, sample_time = _model_of(values.pop("model", {}), folder)
         if sample_time is not None:
             settings.setdefault("model_sample_time", sample_time)
@@ -222,7 +222,7 @@ class RunSettings:
             topics[name] = _made(changed, f"topics.{name}", table)
         if values.get("thresholds") is not None:
             values["thresholds"] = tuple(values["thresholds"])
-        core = _made(CoreSettings, "settings", settings | {"watchdogs": watchdogs})
+        core = _made(CoreSettings, "settings", settings)
         return _made(cls, "the run", values | {"model": model, "topics": topics, "settings": core})
 
     def tables(self) -> dict:
