@@ -12,7 +12,6 @@ from __future__ import annotations
 import asyncio
 import json
 import resource
-import tempfile
 import threading
 from collections.abc import Awaitable, Container
 from concurrent.futures import ThreadPoolExecutor
@@ -241,13 +240,8 @@ class Ask(Base):
         self.who = self.holder(token, people)
 
     async def get(self, kind: str, token: str, request: str) -> None:
-        """Answer with the page to show, with where everybody is, or with what was recorded."""
-        if (kind, request) == ("experimenter", "export"):
-            name = f'attachment; filename="{self.server.plan.folder.name}.zip"'
-            self.set_header("Content-Type", "application/zip")
-            self.set_header("Content-Disposition", name.encode("ascii", "replace"))
-            self.write(await asyncio.to_thread(self.server.export))
-        elif request != "state":
+        """Answer with the page to show, or with where everybody is."""
+        if request != "state":
             raise tornado.web.HTTPError(404)
         elif kind == "p":
             await self.reply(self.server.ask(self.who, "state", {}))
@@ -413,15 +407,6 @@ class StudyServer:
             if code not in self.damaged and await self.ask(code, "enrol", {}):
                 return self.tokens[code]
         raise RefusedError("All places of this study are taken. Thank you for your interest.")
-
-    def export(self) -> bytes:
-        """Return everything that was recorded, as a zip."""
-        # Only here: a server that comes back after a crash needs no analysis.
-        from trustlab.live.study.recorded import read_live_study
-
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "data.zip"
-            return read_live_study(self.plan.folder).export(path).read_bytes()
 
     def mistaken(self, error: Any) -> None:
         """Note a mistake of ours; the log tells each kind once."""
