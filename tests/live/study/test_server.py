@@ -277,7 +277,7 @@ def test_a_failed_start_lets_the_study_go(make_plan):
             pass
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        with pytest.raises(ValueError, match=f"cannot be served on .*, port {port}"):
+        with pytest.raises(ValueError, match=f"cannot be served on port {port}"):
             StudyServer(plan, port=port).__enter__()
     with StudyServer(plan) as server:
         assert server.links()
@@ -334,8 +334,6 @@ def test_enrolment_and_requests_at_once_break_no_log(make_plan, client):
 
 def test_only_a_proxy_leads_people_here_from_other_machines(make_plan, client):
     plan = make_plan()
-    with pytest.raises(ValueError, match=r"unencrypted: .* behind a proxy"):
-        StudyServer(plan, "0.0.0.0")
     with pytest.raises(ValueError, match="url must be like"):
         StudyServer(plan, url="https://lab.test/study")
     with StudyServer(plan, url="https://lab.test") as server:

@@ -278,28 +278,20 @@ class LiveStudy:
             report.unlink()
         sync_folder(self.folder)
 
-    def serve(
-        self,
-        address: str = "127.0.0.1",
-        port: int = 8765,
-        *,
-        url: str = "",
-        enrol: bool = False,
-    ) -> None:
+    def serve(self, port: int = 8765, *, url: str = "", enrol: bool = False) -> None:
         """
-        Serve the study until interrupted (Ctrl-C, or the stop button of a notebook).
+        Serve the study to this machine until interrupted (Ctrl-C, or the stop button of a
+        notebook).
 
         The experimenter's link is printed; everybody's links are on that page.
 
         Parameters
         ----------
-        address : str
-            Where to listen; anything but this machine itself needs `url`.
         port : int
             Port; 0 for any that is free.
         url : str, optional
             The address of the study for people, "https://study.example.org": that of a proxy which
-            ends TLS and hands requests, WebSockets too, on to `address` and `port`.
+            ends TLS on this machine and hands requests, WebSockets too, on to `port`.
         enrol : bool
             Whether anybody with the link for joining, on the experimenter's page, takes the next
             free place. The last page of who came so shows a completion code, which the table of
@@ -308,12 +300,12 @@ class LiveStudy:
         Raises
         ------
         ValueError
-            If the address needs a proxy, the study is being served already, or the package is not
-            the one it was frozen with.
+            If the study is being served already, the port is taken, or the package is not the one
+            it was frozen with.
         """
         from trustlab.live.study.server import StudyServer
 
-        with StudyServer(self, address, port, url=url, enrol=enrol) as server:
+        with StudyServer(self, port, url=url, enrol=enrol) as server:
             print(f"The experimenter's page: {server.experimenter}\nEnd with Ctrl-C.", flush=True)
             server.wait()
 

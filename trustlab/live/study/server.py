@@ -52,7 +52,9 @@ TYPES = {
     ".html": "text/html",
     ".svg": "image/svg+xml",
 }
-LOOPBACK = ("127.0.0.1", "::1", "localhost")
+HOME = "127.0.0.1"
+"""Only this machine is answered: a proxy on it ends TLS for others."""
+
 LARGEST_BODY = 100_000
 """Bytes of a request or message."""
 
@@ -329,25 +331,18 @@ class StudyServer:
 
     Parameters
     ----------
-    plan, address, port, url, enrol
+    plan, port, url, enrol
         As for `LiveStudy.serve`.
     """
 
     def __init__(
         self,
         plan: LiveStudy,
-        address: str = "127.0.0.1",
         port: int = 0,
         *,
         url: str = "",
         enrol: bool = False,
     ):
-        if address not in LOOPBACK and not url.startswith("https://"):
-            raise ValueError(
-                f"address {address!r} can be reached from other machines, and what people type "
-                "there would travel unencrypted: serve on 127.0.0.1 behind a proxy that ends TLS, "
-                "and give its address: url='https://…'"
-            )
         if url and (not urlsplit(url).hostname or urlsplit(url).path.strip("/")):
             raise ValueError(f"url must be like https://study.example.org, got {url!r}")
         if plan.content["made_by"] != made_by():
@@ -355,8 +350,7 @@ class StudyServer:
                 f"the study was frozen with {plan.content['made_by']}, this is {made_by()}: its "
                 "drives would not compare; go on with the version it was begun with"
             )
-        self.plan = plan
-        self.address, self.url = address, url.rstrip("/")
+        self.plan, self.url = plan, url.rstrip("/")
         self.port = whole_number("port", port, 0, 65535)
         self.enrol = flag("enrol", enrol)
         files = (path for path in STATIC.iterdir() if path.suffix in TYPES)
@@ -455,18 +449,12 @@ class StudyServer:
     @property
     def base(self) -> str:
         """The beginning of every link."""
-        name = f"[{self.address}]" if ":" in self.address else self.address
-        return self.url or f"http://{name}:{self.port}"
+        return self.url or f"http://{HOME}:{self.port}"
 
     @property
     def hosts(self) -> set[str]:
         """The names by which a request may call this server."""
-        names = LOOPBACK if self.address in LOOPBACK else (self.address,)
-        plain = {f"[{name}]" if ":" in name else name for name in names}
-        hosts = {f"{name}:{self.port}" for name in plain}
-        if self.port == 80:  # browsers leave the usual port out
-            hosts |= plain
-        return hosts | ({urlsplit(self.url).netloc} if self.url else set())
+        return {f"{HOME}:{self.port}", f"localhost:{self.port}", urlsplit(self.base).netloc}
 
     @property
     def experimenter(self) -> str:
@@ -519,14 +507,15 @@ class StudyServer:
 
     def __enter__(self) -> Self:
         """Begin to serve; one server per study."""
-        try:
-            with ExitStack() as files:
-                sockets = self._opened(files)
-                self.held = files.pop_all()
-        except (OSError, UnicodeError) as error:
-            raise ValueError(
-                f"{self.plan.folder} cannot be served on {self.address}, port {self.port}: {error}"
-            ) from error
+        with ExitStack() as files:
+            self._open(files)
+            try:
+                sockets = tornado.netutil.bind_sockets(self.port, HOME)
+            except OSError as error:
+                raise ValueError(
+                    f"{self.plan.folder} cannot be served on port {self.port}: {error}"
+                ) from error
+            self.held = files.pop_all()
         self.port = sockets[0].getsockname()[1]
         self.thread = threading.Thread(
             target=asyncio.run, args=(self._serve(sockets),), name="live study", daemon=True
@@ -537,8 +526,8 @@ class StudyServer:
             raise ValueError("the server did not start within 10 s; a traceback says why")
         return self
 
-    def _opened(self, files: ExitStack) -> list[Any]:
-        """Open all that is served, refuse what cannot be, and return sockets that listen."""
+    def _open(self, files: ExitStack) -> None:
+        """Open all that is served, and refuse what cannot be."""
         self.holder("")
         # Everybody has two logs and some connections: more files than a process usually may have.
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -557,7 +546,6 @@ class StudyServer:
             else:
                 files.callback(self.participants[code].close)
         prepare(self.plan.task, drive_of(self.plan.content, "training"))
-        return tornado.netutil.bind_sockets(self.port, self.address)
 
     def wait(self) -> None:
         """Return when interrupted."""
