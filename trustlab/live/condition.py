@@ -20,10 +20,13 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 
 
 def given_thresholds(
-    condition: str, thresholds: tuple[float, float] | None
+    condition: str, thresholds: tuple[float, float] | None, own: "LiveCondition | None" = None
 ) -> tuple[float, float] | None:
-    """Return TSC_l and TSC_u: C2 and C3 need them, and elsewhere they have no effect."""
-    if not suggested_by_tsc(condition):
+    """
+    Return TSC_l and TSC_u: C2, C3 and own conditions by TSC need them, and elsewhere they have no
+    effect.
+    """
+    if not (own.suggestions == "tsc" if own else suggested_by_tsc(condition)):
         if thresholds is not None:
             raise ValueError(f"thresholds have no effect in {condition}; leave them out")
         return None

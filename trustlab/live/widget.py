@@ -13,7 +13,7 @@ from weakref import WeakValueDictionary
 import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds
-from trustlab.live.condition import given_thresholds
+from trustlab.live.condition import LiveCondition, given_thresholds
 from trustlab.live.log import LogError
 from trustlab.live.study.pages import read_words
 from trustlab.live.task import LiveTask, prepare
@@ -35,6 +35,7 @@ from trustlab.teleoperation.loop.settings import (
     scheme_named,
     study_named,
 )
+from trustlab.teleoperation.team.decisions import LeaderPolicy, policy_named
 from trustlab.testbeds.deciding import CONDITIONS
 from trustlab.testbeds.uav_tracking import TrackingTask
 
@@ -175,13 +176,13 @@ class LiveGroundRobot(LiveWidget):
 
     Parameters
     ----------
-    condition : {"C1", "C2", "C3", "C4", "C5"}
+    condition : {"C1", "C2", "C3", "C4", "C5"} or LiveCondition
         Who allocates.
     model : TscModel
         What TSC (2.1) and suggestions come from: of the person, for example
         `fit_tsc(session).model`.
     thresholds : (float, float), optional
-        TSC_l and TSC_u of (2.8), in C2 and C3 only.
+        TSC_l and TSC_u of (2.8), in C2, C3 and conditions of your own with suggestions by TSC only.
     laps : int
         How many laps, at most 8. For a fit of the driver's model take 8, in a condition with both
         modes.
@@ -231,7 +232,7 @@ class LiveGroundRobot(LiveWidget):
 
     def __init__(
         self,
-        condition: str,
+        condition: str | LiveCondition,
         model: TscModel | None = None,
         thresholds: tuple[float, float] | None = None,
         laps: int = 2,
@@ -240,14 +241,16 @@ class LiveGroundRobot(LiveWidget):
         log: str | Path | None = None,
         language: str = "en",
     ):
-        one_of("condition", condition, CONDITIONS)
+        own = condition if isinstance(condition, LiveCondition) else None
+        name = own.name if own else one_of("condition", condition, CONDITIONS, "a LiveCondition")
         self.model = of_class("model", model, TscModel)
-        pair = given_thresholds(condition, thresholds)
+        pair = given_thresholds(name, thresholds, own)
         pair = (0.0, 0.0) if pair is None else check_thresholds(self.model, pair)
         seed = whole_number("seed", seed, least=0, most=2**53 - 1)  # JSON keeps no larger one
         content = DriveSettings(laps=whole_number("laps", laps, most=8)).as_json()
+        content["own_conditions"] = {own.name: asdict(own)} if own else {}
         known = {"model": asdict(model), "thresholds": pair}
-        config = ground_robot.drive_config(content, condition, seed, known)
+        config = ground_robot.drive_config(content, name, seed, known)
         ground_robot.warn_if_too_short(config)
         super().__init__(ground_robot.TASK, config, participant, log, language)
 
@@ -399,9 +402,9 @@ class LiveTeam(LiveWidget):
 
     Parameters
     ----------
-    condition : {"by_hand", "most_trusted", "hysteresis", "suggested"}
-        Who chooses the leader: the person, with the keys 1 to N; a policy; or the person, to whom
-        the policy with hysteresis suggests one that the space bar accepts.
+    condition : {"by_hand", "most_trusted", "hysteresis", "suggested"} or LeaderPolicy
+        Who chooses the leader: the person, with the keys 1 to N; a policy, which may be your own;
+        or the person, to whom the policy with hysteresis suggests one that the space bar accepts.
     settings : LeadingSettings, optional
         Robots, goals, length and τ_min.
     participant : str or int
@@ -441,16 +444,21 @@ class LiveTeam(LiveWidget):
 
     def __init__(
         self,
-        condition: str = "by_hand",
+        condition: str | LeaderPolicy = "by_hand",
         settings: LeadingSettings | None = None,
         participant: str | int = "me",
         seed: int = 0,
         log: str | Path | None = None,
         language: str = "en",
     ):
-        one_of("condition", condition, team.TASK.conditions)
+        task, parts = team.TASK, {}
+        if not isinstance(condition, str):
+            policy = policy_named(condition)
+            condition, task, parts = "own", team.task_of(policy), {"policy": policy.title}
+        else:
+            one_of("condition", condition, task.conditions, also="a LeaderPolicy")
         settings = LeadingSettings() if settings is None else settings
         content = of_class("settings", settings, LeadingSettings).as_json()
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
-        config = team.team_config(content, condition, seed)
-        super().__init__(team.TASK, config, participant, log, language)
+        config = team.team_config(content, condition, seed) | {"parts": parts}
+        super().__init__(task, config, participant, log, language)

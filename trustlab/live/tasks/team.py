@@ -1,6 +1,7 @@
 """A team as a live task: one person leads it to goals through whichever robot leads."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -16,7 +17,7 @@ from trustlab.live.task import (
 )
 from trustlab.models.checks import Positive, whole_number
 from trustlab.sessions.session import Session
-from trustlab.teleoperation.team.decisions import POLICIES, TeamSituation
+from trustlab.teleoperation.team.decisions import POLICIES, LeaderPolicy, TeamSituation
 from trustlab.teleoperation.team.settings import (
     TeamOperator,
     TeamRobot,
@@ -133,8 +134,8 @@ class PersonLeads:
 
     title = "a person"
 
-    def __init__(self, condition: str):
-        self.condition = condition
+    def __init__(self, condition: str, policy: LeaderPolicy | None = None):
+        self.condition, self.policy = condition, policy
         self.wish = 0
         self.picks = dict.fromkeys(ADVISERS, 1)
         self.free = False
@@ -145,6 +146,8 @@ class PersonLeads:
         self.picks = {name: policy.leader(now) + 1 for name, policy in ADVISERS.items()}
         self.free = now.free
         self.left = max(now.dwell - (now.t - now.since), 0.0)
+        if self.policy is not None:
+            return self.policy.leader(now)
         if self.condition in ADVISERS:
             return self.picks[self.condition] - 1
         return self.wish - 1 if self.wish else now.leader or 0
@@ -158,11 +161,11 @@ class PersonLeads:
 class LeadingRun:
     """A team, stepped by the place of a hand in its square and the robot that is to lead."""
 
-    def __init__(self, config: dict):
+    def __init__(self, config: dict, policy: LeaderPolicy | None = None):
         robots = tuple(TeamRobot(**robot) for robot in config["robots"])
         settings = TeamSettings(robots=robots, min_dwell=config["min_dwell"], **config["gains"])
         self.config, self.goals = config, config["goals"]
-        self.policy = PersonLeads(config["condition"])
+        self.policy = PersonLeads(config["condition"], policy)
         self.loop = TeamLoop(
             ring(len(robots)),
             self.policy,
@@ -294,3 +297,8 @@ TASK = LiveTask(
     measures=team_measures,
     decisions=COLUMNS[-6:],
 )
+
+
+def task_of(policy: LeaderPolicy) -> LiveTask:
+    """Return the task with a leader policy of your own in the person's place."""
+    return replace(TASK, begin=partial(LeadingRun, policy=policy))
