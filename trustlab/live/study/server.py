@@ -85,7 +85,14 @@ HEADERS = {
 
 
 class Base(tornado.web.RequestHandler):
-    """What every request goes through: host, origin and kind are checked before anything else."""
+    """
+    What every request goes through: host, origin, kind, and whose link it is (`who`) are checked
+    before anything else. That of nobody allowed is as if the page did not exist.
+    """
+
+    def initialize(self, allowed: Container[str] | None = None, name: str = "") -> None:
+        """Keep whose links lead here, and the file of a page."""
+        self.allowed, self.name = allowed, name
 
     def set_default_headers(self) -> None:
         """Set the headers that all answers have, errors too."""
@@ -104,6 +111,10 @@ class Base(tornado.web.RequestHandler):
             raise tornado.web.HTTPError(403)
         if post and headers.get("Content-Type", "").partition(";")[0] != "application/json":
             raise tornado.web.HTTPError(415)
+        if self.allowed is not None:
+            self.who = server.holder(self.path_args[0])
+            if self.who not in self.allowed:
+                raise tornado.web.HTTPError(404)
 
     def missing(self, *_: str) -> None:
         """Answer that there is no such page."""
@@ -117,12 +128,12 @@ class Base(tornado.web.RequestHandler):
         """The server."""
         return self.settings["server"]
 
-    def holder(self, token: str, allowed: Container[str]) -> str:
-        """Return whose link this is; that of nobody allowed is as if the page did not exist."""
-        holder = self.server.holder(token)
-        if holder not in allowed:
-            raise tornado.web.HTTPError(404)
-        return holder
+    def body(self) -> dict:
+        """Return the object in JSON that was sent."""
+        try:
+            return parsed(self.request.body)
+        except ValueError:
+            raise tornado.web.HTTPError(400) from None
 
     def page(self, name: str) -> None:
         """Answer with a file of this package."""
@@ -192,26 +203,16 @@ class Static(Base):
 class Frame(Base):
     """The page that a link opens, which its script fills."""
 
-    def initialize(self, name: str, allowed: Container[str]) -> None:
-        """Keep the page's file, and whose links open it."""
-        self.name, self.allowed = name, allowed
-
     def get(self, token: str) -> None:
         """Answer with the frame."""
-        self.holder(token, self.allowed)
         self.page(self.name)
 
 
-class Join(Base):
+class Join(Frame):
     """
     The link by which anybody takes the next free place: by a button, since programs that look at
     links take none; a cookie leads back to it.
     """
-
-    def prepare(self) -> None:
-        """Refuse everybody where nobody is to join."""
-        super().prepare()
-        self.holder(self.path_args[0], (JOIN,) if self.server.enrol else ())
 
     def get(self, token: str) -> None:
         """Answer with the page that asks, or lead to the place that was taken."""
@@ -219,7 +220,7 @@ class Join(Base):
         if self.server.holder(place) in self.server.plan.orders:
             self.redirect(f"/p/{place}")
         else:
-            self.page("join.html")
+            super().get(token)
 
     async def post(self, token: str) -> None:
         """Take the next free place."""
@@ -231,40 +232,34 @@ class Join(Base):
         return {"link": f"/p/{place}"}
 
 
-class Ask(Base):
-    """What the pages of participants and of the experimenter ask, and what they tell."""
+class State(Base):
+    """The page of the study where a participant is."""
 
-    def prepare(self) -> None:
-        """Find out whose link it is."""
-        super().prepare()
-        kind, token, _ = self.path_args
-        people = self.server.plan.orders if kind == "p" else (EXPERIMENTER,)
-        self.who = self.holder(token, people)
+    async def get(self, token: str) -> None:
+        """Answer with the page to show."""
+        await self.reply(self.server.ask(self.who, "state", {}))
 
-    async def get(self, kind: str, token: str, request: str) -> None:
-        """Answer with the page to show, or with where everybody is."""
-        if request != "state":
-            raise tornado.web.HTTPError(404)
-        elif kind == "p":
-            await self.reply(self.server.ask(self.who, "state", {}))
-        else:
-            self.write(await asyncio.to_thread(self.server.overview))
 
-    async def post(self, kind: str, token: str, request: str) -> None:
-        """Take answers or the wish to stop, or do what the experimenter wants."""
-        try:
-            body = parsed(self.request.body)
-        except ValueError:
-            raise tornado.web.HTTPError(400) from None
-        if kind == "p" and request in ("answers", "withdraw"):
-            await self.reply(self.server.ask(self.who, request, body))
-        elif kind == "experimenter" and request == "act":
-            await self.reply(self._act(body))
-        else:
-            raise tornado.web.HTTPError(404)
+class Tell(Base):
+    """What a participant tells: answers, or the wish to stop."""
+
+    async def post(self, token: str, request: str) -> None:
+        """Take it, and answer with the page to show."""
+        await self.reply(self.server.ask(self.who, request, self.body()))
+
+
+class Experimenter(Base):
+    """Where everybody is, and what the experimenter does about it."""
+
+    async def get(self, token: str) -> None:
+        """Answer with where everybody is."""
+        self.write(await asyncio.to_thread(self.server.overview))
+
+    async def post(self, token: str) -> None:
+        """Restart a drive, add a note, or end a participation; answer with where everybody is."""
+        await self.reply(self._act(self.body()))
 
     async def _act(self, body: dict) -> dict:
-        """Restart a drive, add a note, or end a participation; return where everybody is."""
         code, action = body.get("participant"), body.get("action")
         if code not in self.server.plan.present() or action not in ("restart", "note", "end"):
             raise AnswerError("there is no such participant or action")
@@ -274,12 +269,6 @@ class Ask(Base):
 
 class DriveSocket(tornado.websocket.WebSocketHandler, Base):
     """A drive: commands come, pictures go."""
-
-    def prepare(self) -> None:
-        """Refuse who has no link of a participant."""
-        super().prepare()
-        token, page = self.path_args
-        self.code, self.number = self.holder(token, self.server.plan.orders), int(page)
 
     def check_origin(self, origin: str) -> bool:
         """Whether a page may connect: `prepare` has looked."""
@@ -293,8 +282,8 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
         """Do the commands of a message, after those before it; answer with the picture."""
         words = self.server.plan.content["words"]
         try:
-            message = parsed(text) | {"page": self.number}
-            answer = await self.server.ask(self.code, "drive", message)
+            message = parsed(text) | {"page": int(self.path_args[1])}
+            answer = await self.server.ask(self.who, "drive", message)
             self.server.disk_said("")
         except OSError as error:
             self.server.disk_said(error.strerror or str(error))
@@ -471,15 +460,19 @@ class StudyServer:
         tokens.
         """
         token = r"([A-Za-z0-9_-]{22})"
-        experimenter = {"name": "experimenter.html", "allowed": (EXPERIMENTER,)}
+        people: dict = {"allowed": self.plan.orders}
+        lab: dict = {"allowed": (EXPERIMENTER,)}
+        anybody: dict = {"allowed": (JOIN,) if self.enrol else ()}
         return tornado.web.Application(
             [
                 (r"/static/([a-z_]+\.[a-z]+)", Static),
-                (rf"/p/{token}", Frame, {"name": "study.html", "allowed": self.plan.orders}),
-                (rf"/p/{token}/drive/(\d{{1,4}})", DriveSocket),
-                (rf"/join/{token}", Join),
-                (rf"/experimenter/{token}", Frame, experimenter),
-                (rf"/(p|experimenter)/{token}/([a-z]+)", Ask),
+                (rf"/p/{token}", Frame, people | {"name": "study.html"}),
+                (rf"/p/{token}/state", State, people),
+                (rf"/p/{token}/(answers|withdraw)", Tell, people),
+                (rf"/p/{token}/drive/(\d{{1,4}})", DriveSocket, people),
+                (rf"/join/{token}", Join, anybody | {"name": "join.html"}),
+                (rf"/experimenter/{token}", Frame, lab | {"name": "experimenter.html"}),
+                (rf"/experimenter/{token}/(?:state|act)", Experimenter, lab),
             ],
             default_handler_class=Base,
             log_function=lambda handler: None,
