@@ -77,14 +77,12 @@ class Topic:
         ValueError
             If the message has no number there.
         """
-        values = []
         scales = self.scale or (1.0,) * len(self.fields)
-        for text, steps, scale in zip(self.fields, self.paths, scales, strict=True):
-            try:
-                values.append(scale * float(_part(message, steps)))
-            except (AttributeError, IndexError, TypeError, ValueError) as error:
-                raise ValueError(f"no number at {text} ({error})") from None
-        return tuple(values)
+        try:
+            numbers = [float(_part(message, steps)) for steps in self.paths]
+        except (AttributeError, IndexError, TypeError, ValueError) as error:
+            raise ValueError(f"no number at {', '.join(self.fields)} ({error})") from None
+        return tuple(scale * number for scale, number in zip(scales, numbers, strict=True))
 
     def fill(self, message: Any, values: tuple[float, ...]) -> None:
         """
