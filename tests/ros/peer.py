@@ -8,8 +8,9 @@ A robot and a person behind DDS by Cyclone alone: no ROS, another vendor, no cod
 The robot is a unicycle with a watchdog of 0.5 s. It writes time, applied v and w, age of the latest
 command, the time from odometry to the command that answers it, and the stamp that it sends [ns],
 each tick. Who stops presses stop and release in turn, while the robot drives, and writes after how
-many seconds the robot had heard 0. The hostile one sends from the fifth second on what no robot should, one fault of one
-topic after another; it writes time, v, w, topic and fault, and each command into a second file.
+many seconds the robot had heard 0. The hostile one sends from the fifth second on what no robot
+should, one fault of one topic after another; it writes time, v, w, topic and fault, and each
+command into a second file.
 """
 
 import math

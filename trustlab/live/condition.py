@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from trustlab.allocation.limits import threshold_pair
-from trustlab.live.tick import SCORE, SIGNALS
 from trustlab.models.checks import finite_number, flag, not_negative, one_of, shown
 from trustlab.testbeds.deciding import CONDITIONS, OWN, PERFORMANCE, TSC, suggested_by_tsc
 
@@ -14,6 +13,12 @@ NOTICE = 3.0
 Time between a suggestion that must be followed and its being carried out, if the person has not
 accepted it before [s].
 """
+
+SCORE = 5
+"""A source of suggestions beside those of `deciding`: thresholds of a weighted sum of signals."""
+
+SIGNALS = ("tsc", "p_r", "p_h", "r")
+"""What is summed."""
 
 SUGGESTIONS = {"none": OWN, "tsc": TSC, "performance": PERFORMANCE}
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")

@@ -259,10 +259,9 @@ class AllocationCore:
     thresholds : tuple of float, optional
         TSC_l and TSC_u; needed in C2 and C3, refused elsewhere.
     rule : object, optional
-        A rule of your own, which allocates at once; takes the place of `condition`.
-    share : callable, optional
-        Blends both commands instead: `share(tsc=…, p_r=…)` returns the operator's share α in
-        [0, 1], and the robot gets α u_h + (1 − α) u_a; takes the place of `condition`.
+        A rule of your own, which allocates at once; takes the place of `condition`. Where its
+        `step` returns a share between 0 and 1, the operator's, the robot gets
+        α u_h + (1 − α) u_a.
     correction : ThresholdCorrector, optional
         Moves the thresholds of C2 or C3 towards its target, step by step (2.40)-(2.44).
     settings : CoreSettings, optional
@@ -271,8 +270,8 @@ class AllocationCore:
     Raises
     ------
     ValueError
-        If not exactly one of condition, rule and share is present, or thresholds or a correction
-        are missing or unused.
+        If not exactly one of condition and rule is present, or thresholds or a correction are
+        missing or unused.
 
     Examples
     --------
@@ -295,18 +294,15 @@ class AllocationCore:
         condition: str | None = None,
         thresholds: tuple[float, float] | None = None,
         rule: Any = None,
-        share: Callable | None = None,
         correction: ThresholdCorrector | None = None,
         settings: CoreSettings | None = None,
     ):
         self.model = of_class("model", model, TscModel, TscModel.how_to_get)
         self.settings = settings or CoreSettings()
         of_class("settings", self.settings, CoreSettings)
-        if sum(option is not None for option in (condition, rule, share)) != 1:
-            raise ValueError(
-                "AllocationCore needs one of these: a condition, C1 to C5, or a rule, or a share"
-            )
-        self.condition, self.share = condition, share
+        if (condition is None) == (rule is None):
+            raise ValueError("AllocationCore needs one of these: a condition, C1 to C5, or a rule")
+        self.condition = condition
         self.rule, self.forced = _rule_of(model, condition, thresholds)
         self.mode: float = 1
         if rule is not None:
@@ -525,17 +521,18 @@ class AllocationCore:
         return 0.0
 
     def _asked(self, tsc: float, p_r: float, p_h: float) -> int:
-        """Ask rule, share or correction; change the mode where it allocates, else suggest one."""
+        """Ask rule and correction; change the mode where the rule allocates, else suggest one."""
+        if self.rule is None:
+            return -1
         where = f"t = {self.now:g} s"
-        if self.share is not None:
+        if self.condition is None:
             try:
-                share = self.share(tsc=tsc, p_r=p_r)
-                self.mode = between("the operator's share", share, 0.0, 1.0)
+                share = self.rule.step(tsc=tsc, p_r=p_r)
+                if share is not None:
+                    self.mode = between("the operator's share", float(share), 0.0, 1.0)
             except Exception as error:
                 name = type(error).__name__
-                raise ValueError(f"share failed at {where}: {name}: {error}") from error
-            return -1
-        if self.rule is None:
+                raise ValueError(f"rule.step failed at {where}: {name}: {error}") from error
             return -1
         if isinstance(self.rule, ThresholdRule) and not self.forced:
             self.rule.mode = int(self.mode)  # hysteresis goes with the mode that the button chose
@@ -618,7 +615,7 @@ def _rule_of(
     """Return the rule of a condition, and whether it allocates at once."""
     if condition is None:
         if thresholds is not None:
-            raise ValueError("thresholds have no effect beside a rule or a share; leave them out")
+            raise ValueError("thresholds have no effect beside a rule; leave them out")
         return None, True
     _, forced = CONDITIONS[one_of("condition", condition, CONDITIONS)]
     pair = given_thresholds(condition, thresholds)

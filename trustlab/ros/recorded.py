@@ -74,7 +74,7 @@ def read_run(path: str | Path, run: RunSettings | None = None, own_rules: bool =
     run : RunSettings, optional
         What it was set to, where a rule without a name took part; from the bag by default.
     own_rules : bool
-        Whether the rule or share that the bag names may be imported and called. Say so only of
+        Whether the rule that the bag names may be imported and called. Say so only of
         bags that you trust.
 
     Returns
@@ -151,7 +151,7 @@ class Replay:
             raise SessionError("no run is recorded here; remove the file")
         _, start, data = messages[0]
         tables = json.loads(store.deserialize_cdr(data, OWN_TYPES[RUN]).data)
-        named = tables.get("rule") or tables.get("share")
+        named = tables.get("rule")
         if run is None and named and not own_rules:
             raise SessionError(f"a rule takes part, {named!r}; if you trust it, say own_rules=True")
         self.run = run or RunSettings.of(tables)

@@ -13,8 +13,7 @@ from statsmodels.stats.inter_rater import cohens_kappa
 import trustlab as tl
 from tests.live.cases import commands_for, configured, session_of
 from trustlab.live.task import task_named
-from trustlab.live.tasks.agreement import occasions, policy_agreement
-from trustlab.live.tasks.team import ABILITIES
+from trustlab.live.tasks.team import ABILITIES, occasions, policy_agreement
 from trustlab.operators.teleoperator import REACH
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, TeamTrial
