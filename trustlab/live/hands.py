@@ -39,14 +39,14 @@ class HumanHand:
     is. It follows suggestions, and wants no other switch.
     """
 
-    def __init__(self, config: dict, seed: int | np.random.SeedSequence = 0):
+    def __init__(self, config: dict, rng: int | np.random.Generator = 0):
         self.view, self.robot = config["view"], config["robot"]
         self.mode, dt = config["task"]["first_mode"], config["sample_time"]
         self.levers = np.zeros(2)  # forward and left, in [−1, 1]
         self.rise, self.fall = (config["ramp"][name] * dt for name in RAMP)
         self.seen = deque(maxlen=round(REACTION / dt) + 1)
         self.gates = np.array(config["posts"]).reshape(-1, 2, 2) @ (1.0, 1j)
-        self.rng = np.random.default_rng(seed)
+        self.rng = np.random.default_rng(rng)
         self.keep = np.exp(-dt / MISJUDGED_TIME)
         self.misjudged = self.bearing = 0.0
 

@@ -260,7 +260,7 @@ def _changed(tables: dict[str, dict], name: str, table: dict, where: str) -> dic
         changed = tables | {name: tables[name] | table}
         return {key: page for key, page in changed.items() if key != name or not skip}
     at_end = after == "debriefing"
-    if bool(before) == bool(after) or anchor not in tables or "section" in table or at_end:
+    if bool(before) == bool(after) or anchor not in list(tables) or "section" in table or at_end:
         raise ValueError(
             f"{where} must say before or after which page it stands: one of {', '.join(tables)}"
         )
@@ -276,7 +276,8 @@ def _page(where: str, name: str, table: dict) -> StudyPage:
     own = {key: value for key, value in table.items() if key not in SCALE} | {"name": name}
     if isinstance(own.get("items"), list):
         own["items"] = [_item(where, item, common) for item in own["items"]]
-    own["text"] = re.sub(r"(?<!\n)\n(?!\n)", " ", str(own.get("text", "")).strip())
+    if isinstance(own.get("text"), str):
+        own["text"] = re.sub(r"(?<!\n)\n(?!\n)", " ", own["text"].strip())
     return _made(where, StudyPage, own)
 
 

@@ -306,7 +306,7 @@ class Participant:
             return {"done": True}  # what this window drove is over, or was begun again
         attempt = self.attempt(step)
         trial = self._trial(attempt)
-        if self.scripted and "commands" in message:
+        if self.scripted and isinstance(message.get("commands"), list):
             k = len(trial.rows)
             late = trial.settings["late"] / trial.settings["sample_time"]
             commands = self.script[k : k + len(message["commands"])]
