@@ -131,7 +131,7 @@ class LiveStudy:
         personal = {c.name: asdict(c) for c in conditions if isinstance(c, LiveCondition)}
         if personal and task != "ground_robot":
             raise ValueError(f"a LiveCondition belongs to the ground robot; {task} has its own")
-        names = [getattr(condition, "name", condition) for condition in conditions]
+        names = [c.name if isinstance(c, LiveCondition) else c for c in conditions]
         for name in names:
             one_of("condition", name, (*protocol.conditions, *personal))
         groups = _groups(participants, seed)
