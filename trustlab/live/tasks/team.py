@@ -17,7 +17,7 @@ from trustlab.live.task import (
     hand_config,
     trust_of,
 )
-from trustlab.models.checks import Positive, between, whole_number
+from trustlab.models.checks import Positive, whole_number
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.team.decisions import POLICIES, LeaderPolicy, TeamSituation
 from trustlab.teleoperation.team.settings import (
@@ -348,9 +348,11 @@ def occasions(session: Session, dwell: float) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["t", *ADVISERS, "chosen"])
 
 
-def policy_agreement(
-    sessions: Iterable[Session], draws: int = 2000, confidence: float = 0.95, seed: int = 0
-) -> pd.DataFrame:
+DRAWS, ENDS = 2000, (2.5, 97.5)
+"""Resamples of participants for an interval of κ, and its percentiles."""
+
+
+def policy_agreement(sessions: Iterable[Session], seed: int = 0) -> pd.DataFrame:
     """
     Return how often people's choice of the leader agrees with each policy, beyond chance.
 
@@ -362,26 +364,21 @@ def policy_agreement(
     ----------
     sessions : iterable of Session
         Runs of a team in which a person chose by hand; others are left out.
-    draws : int
-        Resamples of participants, for the interval.
-    confidence : float
-        Of the interval.
     seed : int
-        Of the resamples.
+        Of the resamples of participants, for the interval.
 
     Returns
     -------
     pandas.DataFrame
         Index policy; participants, occasions, agreement (share of occasions), chance, kappa, low
-        and high: percentiles of participants drawn with replacement, NaN for fewer than two.
+        and high: of the 95 % interval by participants drawn with replacement, NaN for fewer than
+        two.
 
     Raises
     ------
     ValueError
         If there is no occasion to choose.
     """
-    whole_number("draws", draws, least=100)
-    tail = 50.0 * (1.0 - between("confidence", confidence, 0.5, 0.999))
     people: dict[str, np.ndarray] = {}
     for session in sessions:
         about = session.metadata
@@ -393,11 +390,11 @@ def policy_agreement(
     if not total.any():
         raise ValueError(f"nobody had an occasion to choose; runs in {BY_HAND!r} are needed")
     rng = np.random.default_rng(seed)
-    drawn = rng.integers(len(people), size=(draws, len(people)))
+    drawn = rng.integers(len(people), size=(DRAWS, len(people)))
     low = high = np.nan
     if len(people) > 1:
         kappas = _kappa(np.array(list(people.values()))[drawn].sum(axis=1))
-        low, high = np.nanpercentile(kappas, [tail, 100.0 - tail], axis=0)
+        low, high = np.nanpercentile(kappas, ENDS, axis=0)
     count, agreed, chance = total.T
     columns = {"participants": len(people), "occasions": count.astype(int)}
     columns |= {"agreement": agreed / count, "chance": chance / count, "kappa": _kappa(total)}
