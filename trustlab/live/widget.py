@@ -4,7 +4,6 @@ import itertools
 import json
 import os
 import re
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -60,10 +59,13 @@ MODULES = (
 )
 """The browser modules of the widget, each behind those that it imports."""
 
-NOTE = (
-    "a person's hand on a simulated haptic device, channel and robot; forces are shown as "
-    "cues and not felt"
-)
+FACTS = {
+    "robot": "simulated",
+    "note": "a person's hand on a simulated haptic device, channel and robot; forces are shown as "
+    "cues and not felt",
+    "cues": "visual cue; with a gamepad, vibration cue",
+}
+"""What metadata say of flights in a notebook."""
 
 
 def module_of(*names: str) -> str:
@@ -104,8 +106,6 @@ class LiveWidget(anywidget.AnyWidget):
     words = traitlets.Dict().tag(sync=True)
     path = traitlets.Unicode().tag(sync=True)
     trials: ClassVar = WeakValueDictionary()
-    facts: Mapping = {}
-    """What the session's metadata say besides."""
 
     def __init__(
         self,
@@ -155,7 +155,7 @@ class LiveWidget(anywidget.AnyWidget):
     @property
     def session(self) -> Session:
         """What has been done so far."""
-        return self.trial.session(participant=self.participant, **self.facts)
+        return self.trial.session(participant=self.participant)
 
     @property
     def verified(self) -> bool:
@@ -375,14 +375,9 @@ class LiveTracking(LiveWidget):
         config = teleoperation.flight_config(settings.as_json(), self.scheme.name, seed, task=task)
         # what parts of your own are recognized by after a restart of the kernel
         names = {name: str(getattr(part, "__qualname__", part)) for name, part in parts.items()}
-        config |= {"parts": names}
+        facts = {"scheme": self.scheme.title.replace("force feedback", "cues"), **FACTS}
+        config |= {"parts": names, "facts": facts}
         super().__init__(teleoperation.task_of(**parts), config, participant, log, "en")
-        self.facts = {
-            "scheme": self.scheme.title.replace("force feedback", "cues"),
-            "robot": "simulated",
-            "note": NOTE,
-            "cues": "visual cue; with a gamepad, vibration cue",
-        }
 
     @property
     def energy(self) -> pd.DataFrame:
