@@ -331,7 +331,8 @@ class Participant:
             self.trial = trial  # only now: what could not be told of is begun again
             if self.scripted:
                 task, config = self.plan.task, trial.settings
-                hand = task.hand(config, np.random.default_rng(config["seed"]))
+                rng = np.random.default_rng([config["seed"], 1])  # not the noise of the robot
+                hand = task.hand(config, rng)
                 self.script, _ = scripted_commands(task, config, hand)
         return self.trial
 
