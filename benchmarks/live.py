@@ -24,40 +24,59 @@ from benchmarks.timing import NotComparedError, Row, tail
 
 # Scripted people without a browser, and for how long they send commands [s].
 PEOPLE, SECONDS = 100, 20.0
-# Scripted people at full rate beside one page in Chromium, and the length of its drive [s].
-CLIENTS, DRIVE = 9, 30.0
+# Scripted people at full rate beside one page in Chromium, and the length of its run [s].
+CLIENTS, RUN = 9, 30.0
+# How late a slow disk is [s].
+SLOW = 0.005
+# Of each task: how long a command holds [s], a command, and what a study of it is set to.
+TASKS = {
+    "ground_robot": (0.1, [0.3, 0.1, 1], {}),
+    "team": (0.05, [0.3, 0.1, 0], {"goals": 20}),
+}
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+SERVER = """import os, sys, time
+sync = os.fsync
+os.fsync = lambda handle: (time.sleep(float(sys.argv[1])), sync(handle))
+from trustlab.live.study.__main__ import main
+main(sys.argv[2:])"""
 
 
 def rows() -> Iterator[Row]:
     """Yield how long commands take to be done and kept, and what a page beside others shows."""
-    with Served(PEOPLE, SECONDS + 1.0) as served:
-        waits, done = asyncio.run(everybody(list(served.links.values())))
-        lost = done - sum(len(served.heard(code)) for code in served.links)
-    work = f"Commands of {PEOPLE} people, five every .5 s each, until on the disk, done and told"
-    yield tail(work, waits, 50.0, ", none lost", not lost, f"{done} commands, {lost} lost")
+    for people, task, count, slow, goal in (
+        (PEOPLE, "ground_robot", 5, 0.0, 50.0),
+        (CLIENTS + 1, "team", 1, SLOW, 60.0),
+    ):
+        with Served(task, people, SECONDS + 1.0, slow) as served:
+            waits, done = asyncio.run(everybody(served, list(served.links), SECONDS, count))
+            lost = done - sum(len(served.heard(code)) for code in served.links)
+        work = f"Commands of {people} people, {count} every {served.period * count:g} s each"
+        work += f", to a disk slower by {1e3 * slow:g} ms" if slow else ""
+        note = f"{done} commands, {lost} lost"
+        work += ", until kept, done and shown"
+        yield tail(work, waits, goal, ", none lost", not lost, note)
     periods, fps, delay = page_beside_others()
-    work = f"A page that commands every 100 ms beside {CLIENTS} people, period of its log"
+    work = f"A page that commands every 50 ms beside {CLIENTS} people, period of its log"
     note = f"{fps:.0f} frames/s; pictures {delay:.0f} ms late"
-    yield tail(work, periods, 120.0, ", ≥ 58 frames/s", fps >= 58.0, note)
+    yield tail(work, periods, 60.0, ", ≥ 58 frames/s", fps >= 58.0, note)
 
 
 class Served:
-    """A study served in a process of its own, as a lab serves it, from a temporary folder."""
+    """A study, served in a process of its own from a temporary folder."""
 
-    def __init__(self, participants: int, training: float):
+    def __init__(self, task: str, participants: int, training: float, slow: float = 0.0):
         import trustlab as tl
         from trustlab.live.study.plan import read_tokens
 
         self.place = tempfile.TemporaryDirectory()
         self.folder = Path(self.place.name) / "study"
+        self.period, self.command, settings = TASKS[task]
+        options = {"task": task, "training": training, "whole_squares": False, **settings}
         with warnings.catch_warnings():
             # So many participants need not fill whole squares here.
             warnings.simplefilter("ignore", UserWarning)
-            plan = tl.LiveStudy(
-                self.folder, ["C1", "C3"], participants, training=training, whole_squares=False
-            )
-        command = [sys.executable, "-m", "trustlab.live.study", str(self.folder), "--port", "0"]
+            plan = tl.LiveStudy(self.folder, participants=participants, **options)
+        command = [sys.executable, "-c", SERVER, str(slow), str(self.folder), "--port", "0"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         base = self.process.stdout.readline().split()[-1].partition("/experimenter/")[0]
         tokens = read_tokens(self.folder)
@@ -78,7 +97,9 @@ class Served:
         self.place.cleanup()
 
 
-async def person(link: str, after: float, seconds: float, count: int) -> tuple[list[float], int]:
+async def person(
+    served: Served, code: str, after: float, seconds: float, count: int
+) -> tuple[list[float], int]:
     """
     Send so many commands at once as often as their time has passed, as a page does; return the
     waits for answers [ms], and how many were acknowledged.
@@ -86,6 +107,8 @@ async def person(link: str, after: float, seconds: float, count: int) -> tuple[l
     from tornado.httpclient import AsyncHTTPClient, HTTPRequest
     from tornado.websocket import websocket_connect
 
+    link = served.links[code]
+    commands = [served.command] * count
     origin = {"Origin": link.partition("/p/")[0]}
     headers = origin | {"Content-Type": "application/json"}
     consent = json.dumps({"page": 0, "answers": {"consent": True}})
@@ -102,31 +125,29 @@ async def person(link: str, after: float, seconds: float, count: int) -> tuple[l
     await asyncio.sleep(after)
     waits: list[float] = []
     done, due = 0, time.perf_counter()
-    while done < 10 * seconds:
+    while served.period * done < seconds:
         began = time.perf_counter()
-        done = (await say(k=done, commands=[[0.3, 0.1, 1]] * count, seen=max(done - 2, 0)))["k"]
+        done = (await say(k=done, commands=commands, seen=max(done - 2, 0)))["k"]
         waits.append(1e3 * (time.perf_counter() - began))
-        due += 0.1 * count
+        due += served.period * count
         await asyncio.sleep(max(0.0, due - time.perf_counter()))
     return waits, done
 
 
-async def everybody(links: list[str]) -> tuple[list[float], int]:
-    """Let scripted people drive; return all waits [ms], and how many commands were acknowledged."""
+async def everybody(
+    served: Served, codes: list[str], seconds: float, count: int
+) -> tuple[list[float], int]:
+    """Let scripted people command; return all waits [ms], and how many commands were told done."""
     # All have begun before the first sends: beginning reads and writes more than a command.
-    people = (person(link, 10.0 + 0.5 * i / len(links), SECONDS, 5) for i, link in enumerate(links))
+    begun, shift = 0.1 * len(codes), served.period * count / len(codes)
+    people = (person(served, c, begun + shift * i, seconds, count) for i, c in enumerate(codes))
     waits, done = zip(*await asyncio.gather(*people), strict=True)
     return [wait for each in waits for wait in each], sum(done)
 
 
-async def others(links: list[str]) -> None:
-    """Let scripted people drive at full rate for as long as the page does."""
-    await asyncio.gather(*(person(link, 0.1, DRIVE + 5.0, 1) for link in links))
-
-
 def page_beside_others() -> tuple[list[float], float, float]:
     """
-    Drive in Chromium beside scripted people.
+    Lead in Chromium beside scripted people.
 
     Return the periods of the log [ms], frames per second, and how late pictures are shown [ms].
     """
@@ -136,21 +157,23 @@ def page_beside_others() -> tuple[list[float], float, float]:
     if browser is None:
         raise NotComparedError("there is no Chromium on this machine")
     options = {"executable_path": browser, "args": ["--no-sandbox", "--disable-gpu"]}
-    with Served(CLIENTS + 1, DRIVE + 10.0) as served, sync_playwright() as playwright:
-        (code, link), *rest = served.links.items()
-        crowd = threading.Thread(target=lambda: asyncio.run(others([each for _, each in rest])))
+    with Served("team", CLIENTS + 1, RUN + 15.0) as served, sync_playwright() as playwright:
+        code, *rest = served.links
+        others = everybody(served, rest, RUN + 10.0, 1)
+        crowd = threading.Thread(target=lambda: asyncio.run(others))
         crowd.start()
         page = playwright.chromium.launch(**options).new_page(
             viewport={"width": 1000, "height": 760}
         )
-        page.goto(link)
+        page.goto(served.links[code])
         page.click("input[type=checkbox]")
         page.click("form button")
         page.click("main > button")
         while page.evaluate("self.study.rows") < 20:  # pages evaluate no text of their own
             time.sleep(0.1)
-        page.keyboard.down("ArrowUp")
-        time.sleep(DRIVE)
+        box = page.locator("canvas.pad").bounding_box()
+        page.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 0.4 * box["height"])
+        time.sleep(RUN)
         told = page.evaluate("self.study.run.telemetry()")
         page.close()
         crowd.join()

@@ -13,7 +13,7 @@ import warnings
 from pathlib import Path
 
 import trustlab as tl
-from trustlab.live.study.drives import stand_in
+from trustlab.live.fit import stand_in
 from trustlab.live.study.server import StudyServer
 
 HERE = Path(__file__).parent
@@ -57,7 +57,7 @@ def pictures():
                 facts = {"page": step.index, "name": step.page.name, "attempt": 0, "link": ""}
                 other.add("page", **facts)  # as if P02 had come so far
                 if step.page.name == "identification":
-                    other.add("model", page=step.index, attempt=0, **stand_in(plan, ""))
+                    other.add("model", page=step.index, attempt=0, **stand_in(plan.content, ""))
             second = browser.new_page(viewport=SIZE)
             second.goto(links["P02"])
             second.wait_for_selector("fieldset")

@@ -13,17 +13,15 @@ from trustlab.live.trial import read_record
 # --- runs -----------------------------------------------------------------------------------------
 
 
-MODEL = tl.published_models()["2"]
-
-
 def configured(name, condition="", **settings):
     """The settings of a run as a log holds them; without a condition one in which all is chosen."""
     if name == "ground_robot":
-        config = drive_config(condition or "training", MODEL, seconds=8.0, seed=3)
+        content = tl.DriveSettings(training=8.0).as_json()
+        config = drive_config(content, condition or "training", 3)
     else:
         task = task_named(name)
         condition = condition or {"team": "suggested", "teleoperation": "MMI"}[name]
-        config = task.config(task.settings(**settings).as_json(), condition, {}, 3)
+        config = task.config(task.settings(**settings).as_json(), condition, 3)
     return json.loads(json.dumps(config))
 
 

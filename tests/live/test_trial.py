@@ -101,6 +101,14 @@ def test_a_disk_that_is_full_takes_half_a_line_back(tmp_path):
     assert read_log(path, "a").entries == [[0], [1]]
 
 
+def test_the_name_of_a_new_log_is_on_the_disk(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr("trustlab.live.log.sync_folder", synced.append)
+    for _ in range(2):
+        Log(tmp_path / "rows.jsonl").close()
+    assert synced == [tmp_path]
+
+
 def test_one_handle_holds_a_log(tmp_path):
     first = Log(tmp_path / "rows.jsonl")
     with pytest.raises(LogError, match="is being written; end that first"):
@@ -265,6 +273,20 @@ def test_pauses_and_what_was_seen_come_from_the_log(path, monkeypatch):
     assert pauses == [(10, 2.0, "nothing was heard"), (12, 0.3, "the page is hidden")]
     assert more["period_median"] == pytest.approx(0.05, abs=2e-3)
     assert more["delay"] == pytest.approx(0.15)
+
+
+def test_a_clock_set_back_loses_nothing_and_makes_no_pause_of_less_than_nothing(path, monkeypatch):
+    trial, commands = begun(path)
+    sent(trial, 0, commands[:10])
+    real = trials.time.time
+    monkeypatch.setattr(trials.time, "time", lambda: real() - 3600.0)
+    sent(trial, 10, commands[10:20])
+    trial.log.close()
+    again = Trial(path, TEAM, {})
+    again.take({"begin": True, "window": "b"})
+    sent(again, 20, commands[20:], "b")
+    assert (again.record.commands, again.fault) == (commands, "")
+    assert again.record.pauses == [{"row": 20, "seconds": 0.0, "why": "begun again"}]
 
 
 def test_a_kernel_that_is_changed_leaves_the_rows_and_verifies_nothing(path, team, monkeypatch):

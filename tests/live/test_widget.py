@@ -136,9 +136,39 @@ def test_a_flight_has_parts_of_ones_own(tmp_path):
         tl.LiveTracking(**options | {"delay": 0.1}, log=tmp_path / "own.jsonl")
 
 
+class InTurn:
+    """Robots lead in turn; oracle: the clock."""
+
+    title = "in turn"
+
+    def leader(self, now):
+        return int(now.t // 6.0) % 3
+
+
+def test_schemes_of_ones_own_allocate_and_lead(tmp_path):
+    slow = tl.LiveCondition("slow", "tsc", forced=True, notice=10.0)
+    with pytest.raises(ValueError, match=r"slow needs thresholds=\(TSC_l, TSC_u\)"):
+        tl.LiveGroundRobot(slow, MODEL, log=tmp_path / "a.jsonl")
+    drive = tl.LiveGroundRobot(slow, MODEL, (0.0, 0.35), log=tmp_path / "a.jsonl")
+    assert drive.trial.settings["switching"]["notice"] == 10.0
+    heard(drive, begin=True, window="a")
+    heard(drive, window="a", k=0, commands=[[0.3, 0.2, 1]] * 20, seen=0)
+    assert (drive.session.metadata.condition, drive.verified) == ("slow", True)
+    settings = LeadingSettings(robots=3, duration=20.0)
+    live = tl.LiveTeam(InTurn(), settings, log=tmp_path / "b.jsonl")
+    heard(live, begin=True, window="a")
+    assert heard(live, window="a", k=0, commands=[[0.0, 0.0, 3]] * 400, seen=0)["done"]
+    assert live.session["leader"][[0, 150, 300]].tolist() == [1, 2, 3]
+    assert live.verified
+    with pytest.raises(ValueError, match="holds another run"):
+        tl.LiveTeam("by_hand", settings, log=tmp_path / "b.jsonl")
+
+
 def test_thresholds_that_have_no_effect_are_refused(tmp_path):
     with pytest.raises(ValueError, match="no effect in C5"):
         tl.LiveGroundRobot("C5", MODEL, (0.0, 0.35), log=tmp_path / "a.jsonl")
+    with pytest.raises(ValueError, match="laps must be a whole number, from 1 to 8, got 9"):
+        tl.LiveGroundRobot("C1", MODEL, laps=9, log=tmp_path / "a.jsonl")
 
 
 # in Chromium

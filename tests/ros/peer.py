@@ -2,12 +2,15 @@
 A robot and a person behind DDS by Cyclone alone: no ROS, another vendor, no code of the package.
 
     python peer.py robot,operator seconds log.csv
+    python peer.py robot,operator,stop seconds log.csv stops.csv
     python peer.py hostile seconds log.csv commands.csv
 
 The robot is a unicycle with a watchdog of 0.5 s. It writes time, applied v and w, age of the latest
 command, the time from odometry to the command that answers it, and the stamp that it sends [ns],
-each tick. The hostile one sends from the fifth second on what no robot should, one fault of one
-topic after another; it writes time, v, w, topic and fault, and each command into a second file.
+each tick. Who stops presses stop and release in turn, while the robot drives, and writes after how
+many seconds the robot had heard 0. The hostile one sends from the fifth second on what no robot
+should, one fault of one topic after another; it writes time, v, w, topic and fault, and each
+command into a second file.
 """
 
 import math
@@ -85,6 +88,11 @@ class PoseStamped(IdlStruct, typename="geometry_msgs::msg::dds_::PoseStamped_"):
 @dataclass
 class Float64(IdlStruct, typename="std_msgs::msg::dds_::Float64_"):
     data: float64
+
+
+@dataclass
+class Bool(IdlStruct, typename="std_msgs::msg::dds_::Bool_"):
+    data: bool
 
 
 RELIABLE = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(50))
@@ -212,12 +220,45 @@ class Operator:
         self.out.write(twist(0.4, 0.4 / 4.0 + random.gauss(0.0, 0.02)))
 
 
+class Stopper:
+    """An operator's hand on the buttons for stop and release."""
+
+    def __init__(self, domain, robot, log):
+        self.robot, self.log = robot, log
+        self.out = {
+            name: DataWriter(domain, Topic(domain, f"rt/operator/{name}", Bool), qos=RELIABLE)
+            for name in ("stop", "release")
+        }
+        self.pressed, self.ticks = None, 0
+
+    def press(self, name, down):
+        self.out[name].write(Bool(down))
+
+    def listen(self):
+        if self.pressed and self.robot.command == (0.0, 0.0):
+            print(self.robot.heard - self.pressed, file=self.log, flush=True)
+            self.pressed, self.ticks = None, -20
+
+    def tick(self):
+        fast = self.robot.command[0] > 0.3
+        self.ticks += fast or self.ticks < 0
+        if self.ticks == -10:
+            self.press("stop", False)
+            self.press("release", True)
+        elif self.ticks == -5:
+            self.press("release", False)
+        elif self.ticks > 20 and fast and self.pressed is None:
+            self.pressed = time.monotonic()
+            self.press("stop", True)
+
+
 def main():
     roles = sys.argv[1].split(",")
     end = time.monotonic() + float(sys.argv[2])
     domain = DomainParticipant(int(os.environ["ROS_DOMAIN_ID"]))
     with open(sys.argv[3], "w") as log, open(sys.argv[-1], "a") as received:
         parts = [Robot(domain, log)] if "robot" in roles else []
+        parts += [Stopper(domain, parts[0], received)] if "stop" in roles else []
         parts += [Hostile(domain, log, received)] if "hostile" in roles else []
         parts = ([Operator(domain)] if "operator" in roles else []) + parts
         due = time.monotonic()

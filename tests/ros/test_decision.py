@@ -101,7 +101,7 @@ def test_utilization_follows_the_mode_at_the_models_own_rate():
     [(set(), 0.25, "both"), ({"operator"}, 0.0, "autonomy"), ({"autonomy"}, 1.0, "operator")],
 )
 def test_shares_blend_both_commands_and_watchdogs_take_one_out(silent, share, driver):
-    core = AllocationCore(MODEL, share=lambda tsc, p_r: 0.25, settings=SHORT)
+    core = AllocationCore(MODEL, rule=Always(0.25), settings=SHORT)
     for k in range(80):
         heard(core, k * PERIOD, skip=silent if k > 50 else ())
         d = core.step(k * PERIOD)
@@ -247,7 +247,7 @@ def test_bad_settings_and_missing_logs_say_what_to_do():
     with pytest.raises(ValueError, match="choose_thresholds"):
         AllocationCore(MODEL, "C3")
     hold = CoreSettings().watchdogs | {"operator": Watchdog(1.0, "hold")}
-    with pytest.raises(ValueError, match="watchdog of operator must hand over or stop"):
+    with pytest.raises(ValueError, match="watchdog of operator must be one of 'hand over', 'stop'"):
         CoreSettings(watchdogs=hold)
     core = AllocationCore(MODEL, "C1")
     core.hear("odometry", 0.0, (0.0, 0.0), 0.0)

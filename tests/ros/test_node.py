@@ -70,8 +70,11 @@ def test_a_recorder_ends_though_a_message_comes_behind_its_end(tmp_path):
     assert [entry[1] for entry in read_log(recorder.log.path).entries] == [1, 2]
 
 
-def half(tsc, p_r):
-    return 0.5
+class Half:
+    """A rule that blends both commands in equal parts."""
+
+    def step(self, tsc, p_r):
+        return 0.5
 
 
 @pytest.fixture
@@ -302,7 +305,7 @@ def test_a_stick_a_reference_and_stamped_commands(node, tmp_path):
     stick = {"topic": "/joy", "type": "sensor_msgs/msg/Joy", "stamp": "receive"}
     run = RunSettings(
         MODEL,
-        share="tests.ros.test_node:half",
+        rule="tests.ros.test_node:Half",
         settings=SHORT,
         topics={
             "operator": Topic(**stick, fields=("axes[1]", "axes[0]"), scale=(0.5, 2.0)),

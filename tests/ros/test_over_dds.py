@@ -60,6 +60,16 @@ def test_the_robot_of_the_guide_is_driven_and_changes_hands(tmp_path):
 
 
 @pytest.mark.long
+def test_a_stop_is_with_the_robot_within_a_tenth_of_a_second(tmp_path):
+    stops = tmp_path / "stops.csv"
+    peer = [PEER, "robot,operator,stop", 60, tmp_path / "robot.csv", stops]
+    assert driven(tmp_path, peer, run_for_peer(tmp_path), 20).verified
+    seconds = np.loadtxt(stops)
+    assert len(seconds) >= 4
+    assert seconds.max() < 0.1
+
+
+@pytest.mark.long
 def test_no_phase_of_a_hostile_robot_leads_outside_the_bounds(tmp_path):
     """Thirty-two faults, half a second each; oracle: every command as another vendor got it."""
     log, commands = tmp_path / "robot.csv", tmp_path / "commands.csv"

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from trustlab.allocation.limits import threshold_pair
-from trustlab.live.tick import SCORE, SIGNALS
 from trustlab.models.checks import finite_number, flag, not_negative, one_of, shown
 from trustlab.testbeds.deciding import CONDITIONS, OWN, PERFORMANCE, TSC, suggested_by_tsc
 
@@ -15,15 +14,24 @@ Time between a suggestion that must be followed and its being carried out, if th
 accepted it before [s].
 """
 
+SCORE = 5
+"""A source of suggestions beside those of `deciding`: thresholds of a weighted sum of signals."""
+
+SIGNALS = ("tsc", "p_r", "p_h", "r")
+"""What is summed."""
+
 SUGGESTIONS = {"none": OWN, "tsc": TSC, "performance": PERFORMANCE}
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 
 
 def given_thresholds(
-    condition: str, thresholds: tuple[float, float] | None
+    condition: str, thresholds: tuple[float, float] | None, own: "LiveCondition | None" = None
 ) -> tuple[float, float] | None:
-    """Return TSC_l and TSC_u: C2 and C3 need them, and elsewhere they have no effect."""
-    if not suggested_by_tsc(condition):
+    """
+    Return TSC_l and TSC_u: C2, C3 and own conditions by TSC need them, and elsewhere they have no
+    effect.
+    """
+    if not (own.suggestions == "tsc" if own else suggested_by_tsc(condition)):
         if thresholds is not None:
             raise ValueError(f"thresholds have no effect in {condition}; leave them out")
         return None

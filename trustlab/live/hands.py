@@ -39,21 +39,20 @@ class HumanHand:
     is. It follows suggestions, and wants no other switch.
     """
 
-    def __init__(self, config: dict, seed: int | np.random.SeedSequence = 0):
+    def __init__(self, config: dict, rng: int | np.random.Generator = 0):
         self.view, self.robot = config["view"], config["robot"]
-        self.mode = config["task"]["first_mode"]
+        self.mode, dt = config["task"]["first_mode"], config["sample_time"]
         self.levers = np.zeros(2)  # forward and left, in [−1, 1]
-        self.rise, self.fall = (config["ramp"][name] * config["sample_time"] for name in RAMP)
-        late = round(REACTION / config["sample_time"])
-        self.seen = deque(maxlen=late + 1)
-        self.gates = np.array(config["posts"]).reshape(-1, 2, 2)
-        self.rng = np.random.default_rng(seed)
-        self.keep = np.exp(-config["sample_time"] / MISJUDGED_TIME)
-        self.misjudged, self.bearing = 0.0, 0.0
+        self.rise, self.fall = (config["ramp"][name] * dt for name in RAMP)
+        self.seen = deque(maxlen=round(REACTION / dt) + 1)
+        self.gates = np.array(config["posts"]).reshape(-1, 2, 2) @ (1.0, 1j)
+        self.rng = np.random.default_rng(rng)
+        self.keep = np.exp(-dt / MISJUDGED_TIME)
+        self.misjudged = self.bearing = 0.0
 
     def __call__(self, picture: dict) -> list[float]:
         """Return the command that follows a picture, within the robot's limits."""
-        self.seen.append((picture["x"], picture["y"], picture["yaw"]))
+        self.seen.append((complex(picture["x"], picture["y"]), picture["yaw"]))
         self.misjudged *= self.keep
         self.misjudged += np.sqrt(1.0 - self.keep**2) * self.rng.standard_normal()
         bearing = self.look(*self.seen[0])
@@ -61,9 +60,8 @@ class HumanHand:
             self.bearing = np.sign(self.bearing) * (SLOW_DOWN + 0.1)
         else:
             self.bearing = bearing + MISJUDGED * self.misjudged
-        forward = 1 if abs(self.bearing) < SLOW_DOWN else 0
-        left = 0 if abs(self.bearing) < DEAD_BAND else np.sign(self.bearing)
-        keys = np.array([forward, left])
+        size = abs(self.bearing)
+        keys = np.array([size < SLOW_DOWN, np.sign(self.bearing) * (size >= DEAD_BAND)])
         most = np.where(np.abs(keys) > np.abs(self.levers), self.rise, self.fall)
         self.levers += np.clip(keys - self.levers, -most, most)
         v, w = self.levers.tolist()
@@ -71,22 +69,18 @@ class HumanHand:
         wanted = mode if suggested < 0 else suggested
         return [self.robot["max_speed"] * v, self.robot["max_turn_rate"] * w, wanted]
 
-    def look(self, x: float, y: float, yaw: float) -> float | None:
+    def look(self, place: complex, yaw: float) -> float | None:
         """
         Return the bearing of the middle of the nearest gate in view [rad], positive to the left.
         """
-        away = self.gates - (x, y)
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        ahead, left = away @ (cos, sin), away @ (-sin, cos)
-        near = np.hypot(ahead, left) < self.view["range"]
-        in_view = near & (np.abs(np.arctan2(left, ahead)) < 0.5 * self.view["field"])
+        away = (self.gates - place) * np.exp(-1j * yaw)  # ahead, and to the left
+        near = np.abs(away) < self.view["range"]
+        in_view = near & (np.abs(np.angle(away)) < 0.5 * self.view["field"])
         # The left row of posts has a colour of its own: gates are not taken backwards.
-        facing = left[:, 0] > left[:, 1]
-        middle_x, middle_y = ahead.mean(axis=1), left.mean(axis=1)
-        shown = in_view.any(axis=1) & facing & (middle_x > NEAREST)
-        distance = np.where(shown, np.hypot(middle_x, middle_y), np.inf)
-        i = int(np.argmin(distance))
-        return float(np.arctan2(middle_y[i], middle_x[i])) if shown.any() else None
+        facing = away[:, 0].imag > away[:, 1].imag
+        middle = away.mean(axis=1)
+        middle = middle[in_view.any(axis=1) & facing & (middle.real > NEAREST)]
+        return float(np.angle(middle[np.abs(middle).argmin()])) if middle.size else None
 
 
 class TrackingHand:

@@ -27,7 +27,11 @@ DIGITS = 16
 
 
 class LogError(ValueError):
-    """A log that another process writes, or whose lines were changed."""
+    """A log whose lines were changed."""
+
+
+class BusyError(LogError):
+    """A log that another handle writes."""
 
 
 class LogReading(NamedTuple):
@@ -68,6 +72,8 @@ def read_log(path: Path, origin: str = "") -> LogReading:
     """
     entries: list[Any] = []
     links, size = [origin], 0
+    if not path.exists():
+        return LogReading(entries, links, size, fault=f"{path.name} is missing")
     for number, line in enumerate(path.read_bytes().splitlines(keepends=True), 1):
         if not line.endswith(b"\n"):
             fault = f"{path.name}: its last line is torn"
@@ -120,7 +126,7 @@ class Log:
     Raises
     ------
     LogError
-        If another handle writes the log, or a line was changed.
+        If a line was changed, or, a `BusyError`, another handle writes the log.
     """
 
     def __init__(self, path: Path, origin: str = ""):
@@ -132,7 +138,7 @@ class Log:
             fcntl.flock(self.handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self.close()
-            raise LogError(f"{path} is being written; end that first") from None
+            raise BusyError(f"{path} is being written; end that first") from None
         reading = read_log(path, origin)
         self.entries, self.links, self.torn = reading.entries, reading.links, reading.torn
         self.link = self.links[-1]

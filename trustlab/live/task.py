@@ -6,15 +6,15 @@ stepped by commands where its log is, a row at a time; the same commands give th
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from importlib import import_module
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import between, of_class, one_of, shown
+from trustlab.models.checks import Checked, of_class, one_of, shown
 from trustlab.sessions.session import Metadata, Session
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.dynamics import MODELS
@@ -24,9 +24,6 @@ TASKS = ("ground_robot", "teleoperation", "team")
 
 PERIOD = 0.05
 """How long a command holds in flights and teams [s]."""
-
-MOST_DELAY = 2.0
-"""The longest least delay of pictures in a study [s]."""
 
 LEAST_ROWS = 2
 LARGEST = 1e15
@@ -71,57 +68,83 @@ def trust_of(content: dict) -> TrustInLoop | None:
     return TrustInLoop(model, stored["every"], stored["start"])
 
 
+Length = Annotated[float, (1.0, 3600.0)]
+"""Of a run [s]."""
+
+Delay = Annotated[float, (0.0, 2.0)]
+"""How late pictures are shown at least in a study [s]."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class HandSettings:
+class HandSettings(Checked):
     """
     What the settings of flights and of a team's runs have in common: lengths [s], the least delay
     [s], and a model of trust.
     """
 
-    duration: float = 120.0
-    training: float = 60.0
-    least_delay: float = 0.0
+    duration: Length = 120.0
+    training: Length = 60.0
+    least_delay: Delay = 0.0
     trust: Any = None
 
     def __post_init__(self):
         trust_as_json(self.trust)
-        between("duration", self.duration, 1.0, 3600.0)
-        between("training", self.training, 1.0, 3600.0)
-        between("least_delay", self.least_delay, 0.0, MOST_DELAY)
+        super().__post_init__()
 
     def as_json(self) -> dict:
         """Return the settings as plain values for `study.json`."""
         return {**vars(self), "trust": trust_as_json(self.trust)}
 
 
-def hand_config(
-    task: str,
-    content: dict,
+def run_config(
+    live_task: str,
     condition: str,
     seed: int,
-    choice: tuple[str, float, float],
+    period: float,
+    seconds: float,
+    limits: dict[str, list[float]],
+    columns: Sequence[str],
+    late: float,
     **more: Any,
 ) -> dict:
     """
-    Return the settings of a run of a task that is commanded by a hand in its square and a choice,
-    given by its name and limits, and what else they hold.
+    Return what the settings of every run hold, with the limits of each command, and what else those
+    of a task do.
     """
-    duration = content["training" if condition == "training" else "duration"]
-    name, least, most = choice
-    limits = {"pointer_x": [-1.0, 1.0], "pointer_y": [-1.0, 1.0], name: [least, most]}
     return {
-        "live_task": task,
+        "live_task": live_task,
         "condition": condition,
-        "trust": content["trust"],
         "seed": seed,
-        "sample_time": PERIOD,
-        "samples": round(duration / PERIOD),
-        "duration": duration,
+        "sample_time": period,
+        "samples": round(seconds / period),
         "commands": list(limits),
         "limits": limits,
+        "columns": [*columns],
+        "late": late,
         "clock": "real",
+        "facts": {},
         **more,
     }
+
+
+def hand_config(
+    task: str, content: dict, condition: str, seed: int, limits: list[float], **more: Any
+) -> dict:
+    """
+    Return the settings of a run that is commanded by a hand in its square and a choice, which is
+    the third of the columns and has these limits.
+    """
+    square = [-1.0, 1.0]
+    return run_config(
+        task,
+        condition,
+        seed,
+        PERIOD,
+        content["training" if condition == "training" else "duration"],
+        dict(zip(more["columns"], (square, square, limits), strict=False)),
+        trust=content["trust"],
+        **more,
+    )
 
 
 @dataclass(frozen=True)
@@ -141,9 +164,7 @@ class LiveTask:
         The class of a study's settings.
     config : callable
         All that determines a run but the commands, as plain JSON, from what a study's plan holds,
-        the condition, what is known of the participant, and a seed. Every task has live_task,
-        condition, seed, sample_time [s], samples, columns, commands, limits (of each command), late
-        (the camera's delay [s]) and clock.
+        the condition, a seed, and what is known of the participant, if anything: see `run_config`.
     begin : callable
         A run by its config: `step(*command)` does a period and returns the row of the log,
         `picture()` is what the page draws, as plain JSON, `done` whether it is at its end.
@@ -152,8 +173,8 @@ class LiveTask:
     measures : callable
         The outcome measures of a session.
     facts : callable
-        What the metadata of a session say besides, by config and table; it may take columns that
-        are no signals off the table.
+        What the metadata of a session say besides the config's "facts", by its table, off which it
+        may take columns that are no signals.
     decisions : tuple of str
         The columns that a replay must give exactly.
     """
@@ -166,7 +187,7 @@ class LiveTask:
     begin: Callable
     hand: Callable
     measures: Callable
-    facts: Callable = lambda config, table: {}
+    facts: Callable = lambda table: {}
     decisions: tuple[str, ...] = ()
     practice: tuple[str, ...] = ("training",)
 
@@ -188,7 +209,8 @@ class LiveTask:
             raise ValueError(f"a session has at least two samples; wait until {least:g} s are done")
         index = pd.Index(np.round(config["sample_time"] * np.arange(len(rows)), 9), name="t")
         table = pd.DataFrame(np.array(rows, float), index, config["columns"])
-        facts = {"seed": config["seed"], "task": self.name, **self.facts(config, table)}
+        facts = {"seed": config["seed"], "task": self.name, **config["facts"]}
+        facts |= self.facts(table)
         about = Metadata(condition=config["condition"], source="trustlab.live", more=facts)
         return Session(table, about.changed(**metadata))
 

@@ -65,7 +65,7 @@ class Record:
         commands = entry.get("commands", [])
         if not commands:
             return
-        gap = entry["at"] - self._heard
+        gap = max(entry["at"] - self._heard, 0.0)  # the clock may have been set back
         if self.commands and (self._noted or gap > STILL):
             why = "; ".join(self._noted) or "nothing was heard"
             row = len(self.commands)
@@ -128,8 +128,6 @@ def difference(task: LiveTask, settings: dict, rows: list, again: list) -> str:
 
 def read_record(path: Path, origin: str = "") -> tuple[Record | None, str, str]:
     """Return what a log says, its last link, and what is wrong with the file ("" if nothing)."""
-    if not path.exists():
-        return None, origin, f"{path.name} is missing"
     reading = read_log(path, origin)
     try:
         header, *entries = reading.entries

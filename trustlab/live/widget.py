@@ -4,7 +4,7 @@ import itertools
 import json
 import os
 import re
-from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakValueDictionary
@@ -12,15 +12,16 @@ from weakref import WeakValueDictionary
 import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds
-from trustlab.live.condition import given_thresholds
+from trustlab.live.condition import LiveCondition, given_thresholds
 from trustlab.live.log import LogError
 from trustlab.live.study.pages import read_words
 from trustlab.live.task import LiveTask, prepare
 from trustlab.live.tasks import ground_robot, team, teleoperation
+from trustlab.live.tasks.ground_robot import DriveSettings
 from trustlab.live.tasks.team import LeadingSettings
 from trustlab.live.tasks.teleoperation import TeleoperationSettings
 from trustlab.live.trial import Trial, read_record
-from trustlab.models.checks import check_participant, flag, of_class, one_of, whole_number
+from trustlab.models.checks import check_participant, of_class, one_of, whole_number
 from trustlab.models.digest import digest
 from trustlab.models.extras import extra
 from trustlab.models.files import path_of
@@ -33,6 +34,7 @@ from trustlab.teleoperation.loop.settings import (
     scheme_named,
     study_named,
 )
+from trustlab.teleoperation.team.decisions import LeaderPolicy, policy_named
 from trustlab.testbeds.deciding import CONDITIONS
 from trustlab.testbeds.uav_tracking import TrackingTask
 
@@ -57,10 +59,13 @@ MODULES = (
 )
 """The browser modules of the widget, each behind those that it imports."""
 
-NOTE = (
-    "a person's hand on a simulated haptic device, channel and robot; forces are shown as "
-    "cues and not felt"
-)
+FACTS = {
+    "robot": "simulated",
+    "note": "a person's hand on a simulated haptic device, channel and robot; forces are shown as "
+    "cues and not felt",
+    "cues": "visual cue; with a gamepad, vibration cue",
+}
+"""What metadata say of flights in a notebook."""
 
 
 def module_of(*names: str) -> str:
@@ -101,8 +106,6 @@ class LiveWidget(anywidget.AnyWidget):
     words = traitlets.Dict().tag(sync=True)
     path = traitlets.Unicode().tag(sync=True)
     trials: ClassVar = WeakValueDictionary()
-    facts: Mapping = {}
-    """What the session's metadata say besides."""
 
     def __init__(
         self,
@@ -152,7 +155,7 @@ class LiveWidget(anywidget.AnyWidget):
     @property
     def session(self) -> Session:
         """What has been done so far."""
-        return self.trial.session(participant=self.participant, **self.facts)
+        return self.trial.session(participant=self.participant)
 
     @property
     def verified(self) -> bool:
@@ -173,13 +176,13 @@ class LiveGroundRobot(LiveWidget):
 
     Parameters
     ----------
-    condition : {"C1", "C2", "C3", "C4", "C5"}
+    condition : {"C1", "C2", "C3", "C4", "C5"} or LiveCondition
         Who allocates.
     model : TscModel
         What TSC (2.1) and suggestions come from: of the person, for example
         `fit_tsc(session).model`.
     thresholds : (float, float), optional
-        TSC_l and TSC_u of (2.8), in C2 and C3 only.
+        TSC_l and TSC_u of (2.8), in C2, C3 and conditions of your own with suggestions by TSC only.
     laps : int
         How many laps, at most 8. For a fit of the driver's model take 8, in a condition with both
         modes.
@@ -187,9 +190,6 @@ class LiveGroundRobot(LiveWidget):
         Who drives.
     seed : int
         Of the robot's sensing.
-    show_map : bool
-        Whether a small map shows where the robot is; for experimenters, since it makes the task
-        easier.
     log : path-like, optional
         The file of the run's log; one under the user's state folder when not given. Each command
         is on the disk before it is done.
@@ -232,29 +232,25 @@ class LiveGroundRobot(LiveWidget):
 
     def __init__(
         self,
-        condition: str,
+        condition: str | LiveCondition,
         model: TscModel | None = None,
         thresholds: tuple[float, float] | None = None,
         laps: int = 2,
         participant: str | int = "me",
         seed: int = 0,
-        show_map: bool = False,
         log: str | Path | None = None,
         language: str = "en",
     ):
-        one_of("condition", condition, CONDITIONS)
+        own = condition if isinstance(condition, LiveCondition) else None
+        name = own.name if own else one_of("condition", condition, CONDITIONS, "a LiveCondition")
         self.model = of_class("model", model, TscModel)
-        pair = given_thresholds(condition, thresholds)
-        if pair is not None:
-            pair = check_thresholds(self.model, pair)
-        config = ground_robot.drive_config(
-            condition,
-            model,
-            pair or (0.0, 0.0),
-            whole_number("laps", laps, most=8),
-            whole_number("seed", seed, least=0, most=2**53 - 1),  # JSON keeps no larger one
-            show_map=flag("show_map", show_map),
-        )
+        pair = given_thresholds(name, thresholds, own)
+        pair = (0.0, 0.0) if pair is None else check_thresholds(self.model, pair)
+        seed = whole_number("seed", seed, least=0, most=2**53 - 1)  # JSON keeps no larger one
+        content = DriveSettings(laps=whole_number("laps", laps, most=8)).as_json()
+        content["own_conditions"] = {own.name: asdict(own)} if own else {}
+        known = {"model": asdict(model), "thresholds": pair}
+        config = ground_robot.drive_config(content, name, seed, known)
         ground_robot.warn_if_too_short(config)
         super().__init__(ground_robot.TASK, config, participant, log, language)
 
@@ -376,17 +372,12 @@ class LiveTracking(LiveWidget):
         where = guidance.where if isinstance(guidance, Guidance) else guidance
         settings = TeleoperationSettings(duration=duration, study=loop.study, guidance=where)
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
-        config = teleoperation.flight_config(settings.as_json(), self.scheme.name, {}, seed, task)
+        config = teleoperation.flight_config(settings.as_json(), self.scheme.name, seed, task=task)
         # what parts of your own are recognized by after a restart of the kernel
         names = {name: str(getattr(part, "__qualname__", part)) for name, part in parts.items()}
-        config |= {"parts": names}
+        facts = {"scheme": self.scheme.title.replace("force feedback", "cues"), **FACTS}
+        config |= {"parts": names, "facts": facts}
         super().__init__(teleoperation.task_of(**parts), config, participant, log, "en")
-        self.facts = {
-            "scheme": self.scheme.title.replace("force feedback", "cues"),
-            "robot": "simulated",
-            "note": NOTE,
-            "cues": "visual cue; with a gamepad, vibration cue",
-        }
 
     @property
     def energy(self) -> pd.DataFrame:
@@ -406,9 +397,9 @@ class LiveTeam(LiveWidget):
 
     Parameters
     ----------
-    condition : {"by_hand", "most_trusted", "hysteresis", "suggested"}
-        Who chooses the leader: the person, with the keys 1 to N; a policy; or the person, to whom
-        the policy with hysteresis suggests one that the space bar accepts.
+    condition : {"by_hand", "most_trusted", "hysteresis", "suggested"} or LeaderPolicy
+        Who chooses the leader: the person, with the keys 1 to N; a policy, which may be your own;
+        or the person, to whom the policy with hysteresis suggests one that the space bar accepts.
     settings : LeadingSettings, optional
         Robots, goals, length and τ_min.
     participant : str or int
@@ -448,16 +439,21 @@ class LiveTeam(LiveWidget):
 
     def __init__(
         self,
-        condition: str = "by_hand",
+        condition: str | LeaderPolicy = "by_hand",
         settings: LeadingSettings | None = None,
         participant: str | int = "me",
         seed: int = 0,
         log: str | Path | None = None,
         language: str = "en",
     ):
-        one_of("condition", condition, team.TASK.conditions)
+        task, parts = team.TASK, {}
+        if not isinstance(condition, str):
+            policy = policy_named(condition)
+            condition, task, parts = "own", team.task_of(policy), {"policy": policy.title}
+        else:
+            one_of("condition", condition, task.conditions, also="a LeaderPolicy")
         settings = LeadingSettings() if settings is None else settings
         content = of_class("settings", settings, LeadingSettings).as_json()
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
-        config = team.TASK.config(content, condition, {}, seed)
-        super().__init__(team.TASK, config, participant, log, language)
+        config = team.team_config(content, condition, seed) | {"parts": parts}
+        super().__init__(task, config, participant, log, language)

@@ -1,9 +1,7 @@
 from .core import (
     AllocationCore as AllocationCore,
-    Decision as Decision,
-)
-from .inputs import (
     CoreSettings as CoreSettings,
+    Decision as Decision,
     Watchdog as Watchdog,
 )
 from .node import Allocation as Allocation

@@ -8,7 +8,7 @@ import math
 import re
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,17 @@ from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.allocation.correction_run import OnlineCorrection
 from trustlab.allocation.rules import PerformanceRule, ThresholdRule, decision, prepared_rule
 from trustlab.live.condition import given_thresholds
-from trustlab.models.checks import between, finite_number, of_class, one_of, whole_number
+from trustlab.models.checks import (
+    Checked,
+    NotNegative,
+    Positive,
+    between,
+    finite_number,
+    of_class,
+    one_of,
+    whole_number,
+)
 from trustlab.models.tsc import TscModel, next_utilization
-from trustlab.ros.inputs import FIELDS, CoreSettings, Input
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.metrics import goal_speed, manoeuvring
 from trustlab.sessions.session import Metadata, Session
@@ -44,6 +52,156 @@ LATE_STEP = 1.5
 FASTEST = 5.0
 # So many notes that differ in numbers alone are kept; further ones are counted.
 MOST_NOTES = 20
+
+
+# The actions that make sense when an input falls silent, the usual one first. A velocity is never
+# held: the robot would drive on blindly; and nobody can take over the task of odometry.
+INPUTS = {
+    "odometry": ("stop",),
+    "operator": ("hand over", "stop"),
+    "autonomy": ("hand over", "stop"),
+    "path_error": ("hold", "stop"),
+}
+FIELDS = {
+    "odometry": ("x", "y"),
+    "operator": ("v", "w"),
+    "autonomy": ("v", "w"),
+    "path_error": ("e",),
+}
+# Nothing on a ground robot measures more, in metres or in m/s; sums of squares stay finite.
+LARGEST = 1e6
+# How far ahead of the clock a stamp may be [s]: clocks of two computers, and rounding.
+AHEAD = 0.01
+
+
+@dataclass(frozen=True)
+class Watchdog(Checked):
+    """
+    What happens when an input falls silent.
+
+    Parameters
+    ----------
+    after : float
+        Greatest age of the latest message, by its stamp [s].
+    action : {"stop", "hand over", "hold"}
+        Bring the robot to rest; let the other of operator and autonomy drive, while that is heard;
+        or hold the last path error, without asking the rule.
+
+    Raises
+    ------
+    ValueError
+        If the time is not positive.
+    """
+
+    after: Positive
+    action: str
+
+
+@dataclass(frozen=True)
+class CoreSettings(Checked):
+    """
+    Settings of `AllocationCore`.
+
+    Parameters
+    ----------
+    period : float
+        Time between steps [s], the sample time of the log.
+    window : float
+        Length W of the means (2.4) and (2.7) [s].
+    e_max : float
+        Greatest acceptable deviation from the path [m].
+    v_max, w_max : float
+        Bounds of the linear [m/s] and angular [rad/s] velocity sent to the robot.
+    v_rate, w_rate : float
+        How fast these may change [m/s², rad/s²], at a handover too.
+    watchdogs : dict
+        A `Watchdog` for those of odometry, operator, autonomy and path_error that differ from the
+        usual ones: after half a second, and the first action that makes sense.
+    model_sample_time : float
+        Sample time that a_r and a_pr of the model are of [s]; 0.1 s as printed.
+    wait : float, optional
+        Time before the rule is asked [s]; by default the window, which means fill until then.
+
+    Raises
+    ------
+    ValueError
+        If a number is not positive, or a watchdog does what makes no sense.
+    """
+
+    period: Positive = 0.05
+    window: Positive = 100.0
+    e_max: Positive = 2.0
+    v_max: Positive = 0.5
+    w_max: Positive = 1.0
+    v_rate: Positive = 1.0
+    w_rate: Positive = 2.0
+    watchdogs: dict[str, Watchdog] = field(default_factory=dict)
+    model_sample_time: Positive = 0.1
+    wait: NotNegative | None = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.wait is None:
+            self.__dict__["wait"] = self.window
+        if self.window < self.period:
+            raise ValueError(f"window = {self.window} s is shorter than one step ({self.period} s)")
+        for name, watchdog in self.watchdogs.items():
+            of_class(f"watchdogs[{name!r}]", watchdog, Watchdog)
+            actions = INPUTS[one_of("watchdogs", name, INPUTS)]
+            one_of(f"action of the watchdog of {name}", watchdog.action, actions)
+        usual = {name: Watchdog(0.5, actions[0]) for name, actions in INPUTS.items()}
+        self.__dict__["watchdogs"] = usual | self.watchdogs
+
+
+class Input:
+    """The latest accepted message of one input; what is refused is passed to `note`."""
+
+    def __init__(self, name: str, watchdog: Watchdog, note: Callable[[str], None]):
+        self.name = name
+        self.watchdog = watchdog
+        self.note = note
+        self.stamp = -math.inf
+        self.values: Any = None
+        self.silent = False
+
+    def take(self, stamp: float, values: tuple[float, ...], now: float) -> bool:
+        """Take a message over, or note its fault and return False."""
+        if fault := self._fault(stamp, values, now):
+            self.note(f"{self.name}: {fault}")
+            return False
+        if now - stamp > self.watchdog.after:
+            self.note(f"{self.name}: late by {now - stamp:.3g} s")
+        elif stamp - self.stamp > self.watchdog.after and self.values is not None:
+            self.note(f"{self.name}: messages lost, none for {stamp - self.stamp:.3g} s")
+        self.stamp = stamp
+        self.values = values
+        return True
+
+    def _fault(self, stamp: float, values: tuple[float, ...], now: float) -> str | None:
+        if not math.isfinite(stamp):
+            return f"stamp is {stamp}"
+        if not all(math.isfinite(value) and abs(value) <= LARGEST for value in values):
+            return f"not a finite value of usual size: {values}"
+        if self.name == "path_error" and values[0] < 0.0:
+            return f"a deviation cannot be negative: {values[0]:.6g}"
+        if stamp > now + AHEAD:
+            return f"stamp is {stamp - now:.3g} s ahead of the clock"
+        if stamp == self.stamp:
+            return f"repeated, stamp {stamp:.6f}"
+        if stamp < self.stamp:
+            return f"out of order, {self.stamp - stamp:.3g} s before the latest"
+        return None
+
+    def watch(self, now: float) -> bool:
+        """Return whether the input has fallen silent, and note when that begins and ends."""
+        if self.values is None:  # not heard yet: nothing begins or ends
+            return True
+        silent = now - self.stamp > self.watchdog.after
+        if silent != self.silent:
+            said = f"silent, {self.watchdog.action}" if silent else "heard again"
+            self.note(f"{self.name}: {said}")
+        self.silent = silent
+        return silent
 
 
 @dataclass(frozen=True)
@@ -101,10 +259,9 @@ class AllocationCore:
     thresholds : tuple of float, optional
         TSC_l and TSC_u; needed in C2 and C3, refused elsewhere.
     rule : object, optional
-        A rule of your own, which allocates at once; takes the place of `condition`.
-    share : callable, optional
-        Blends both commands instead: `share(tsc=…, p_r=…)` returns the operator's share α in
-        [0, 1], and the robot gets α u_h + (1 − α) u_a; takes the place of `condition`.
+        A rule of your own, which allocates at once; takes the place of `condition`. Where its
+        `step` returns a share between 0 and 1, the operator's, the robot gets
+        α u_h + (1 − α) u_a.
     correction : ThresholdCorrector, optional
         Moves the thresholds of C2 or C3 towards its target, step by step (2.40)-(2.44).
     settings : CoreSettings, optional
@@ -113,8 +270,8 @@ class AllocationCore:
     Raises
     ------
     ValueError
-        If not exactly one of condition, rule and share is present, or thresholds or a correction
-        are missing or unused.
+        If not exactly one of condition and rule is present, or thresholds or a correction are
+        missing or unused.
 
     Examples
     --------
@@ -137,18 +294,15 @@ class AllocationCore:
         condition: str | None = None,
         thresholds: tuple[float, float] | None = None,
         rule: Any = None,
-        share: Callable | None = None,
         correction: ThresholdCorrector | None = None,
         settings: CoreSettings | None = None,
     ):
         self.model = of_class("model", model, TscModel, TscModel.how_to_get)
         self.settings = settings or CoreSettings()
         of_class("settings", self.settings, CoreSettings)
-        if sum(option is not None for option in (condition, rule, share)) != 1:
-            raise ValueError(
-                "AllocationCore needs one of these: a condition, C1 to C5, or a rule, or a share"
-            )
-        self.condition, self.share = condition, share
+        if (condition is None) == (rule is None):
+            raise ValueError("AllocationCore needs one of these: a condition, C1 to C5, or a rule")
+        self.condition = condition
         self.rule, self.forced = _rule_of(model, condition, thresholds)
         self.mode: float = 1
         if rule is not None:
@@ -367,17 +521,18 @@ class AllocationCore:
         return 0.0
 
     def _asked(self, tsc: float, p_r: float, p_h: float) -> int:
-        """Ask rule, share or correction; change the mode where it allocates, else suggest one."""
+        """Ask rule and correction; change the mode where the rule allocates, else suggest one."""
+        if self.rule is None:
+            return -1
         where = f"t = {self.now:g} s"
-        if self.share is not None:
+        if self.condition is None:
             try:
-                share = self.share(tsc=tsc, p_r=p_r)
-                self.mode = between("the operator's share", share, 0.0, 1.0)
+                share = self.rule.step(tsc=tsc, p_r=p_r)
+                if share is not None:
+                    self.mode = between("the operator's share", float(share), 0.0, 1.0)
             except Exception as error:
                 name = type(error).__name__
-                raise ValueError(f"share failed at {where}: {name}: {error}") from error
-            return -1
-        if self.rule is None:
+                raise ValueError(f"rule.step failed at {where}: {name}: {error}") from error
             return -1
         if isinstance(self.rule, ThresholdRule) and not self.forced:
             self.rule.mode = int(self.mode)  # hysteresis goes with the mode that the button chose
@@ -460,7 +615,7 @@ def _rule_of(
     """Return the rule of a condition, and whether it allocates at once."""
     if condition is None:
         if thresholds is not None:
-            raise ValueError("thresholds have no effect beside a rule or a share; leave them out")
+            raise ValueError("thresholds have no effect beside a rule; leave them out")
         return None, True
     _, forced = CONDITIONS[one_of("condition", condition, CONDITIONS)]
     pair = given_thresholds(condition, thresholds)

@@ -3,8 +3,7 @@
 import math
 from typing import Any
 
-from trustlab.ros.core import AllocationCore
-from trustlab.ros.inputs import AHEAD, FIELDS
+from trustlab.ros.core import AHEAD, FIELDS, AllocationCore
 from trustlab.ros.run import CLOCK, NOTE, RunSettings
 
 # What the node notes last: a run without it was cut off.

@@ -11,9 +11,8 @@ from time import monotonic_ns
 from typing import Any
 
 from trustlab.live.log import Log
-from trustlab.ros.core import Decision
+from trustlab.ros.core import AHEAD, Decision
 from trustlab.ros.feed import END, Feed
-from trustlab.ros.inputs import AHEAD
 from trustlab.ros.recorded import LOG, RobotRun, finish_run, log_entry
 from trustlab.ros.run import CLOCK, NOTE, RUN, STATES, RunSettings
 

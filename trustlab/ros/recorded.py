@@ -2,7 +2,6 @@
 
 import json
 from base64 import b64decode, b64encode
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,6 @@ from trustlab.sessions.errors import SessionError, damage_named
 from trustlab.sessions.reading import read_session
 from trustlab.sessions.session import Session
 from trustlab.sessions.writing import write_recording, write_session
-from trustlab.studies.virtual_study import KEYS
 from trustlab.testbeds.condition_run import condition_measures
 
 LOG = ".jsonl"
@@ -76,7 +74,7 @@ def read_run(path: str | Path, run: RunSettings | None = None, own_rules: bool =
     run : RunSettings, optional
         What it was set to, where a rule without a name took part; from the bag by default.
     own_rules : bool
-        Whether the rule or share that the bag names may be imported and called. Say so only of
+        Whether the rule that the bag names may be imported and called. Say so only of
         bags that you trust.
 
     Returns
@@ -153,7 +151,7 @@ class Replay:
             raise SessionError("no run is recorded here; remove the file")
         _, start, data = messages[0]
         tables = json.loads(store.deserialize_cdr(data, OWN_TYPES[RUN]).data)
-        named = tables.get("rule") or tables.get("share")
+        named = tables.get("rule")
         if run is None and named and not own_rules:
             raise SessionError(f"a rule takes part, {named!r}; if you trust it, say own_rules=True")
         self.run = run or RunSettings.of(tables)
@@ -203,10 +201,10 @@ def measures_table(runs: Iterable[RobotRun]) -> pd.DataFrame:
         participant, position (from 1), condition, synthetic, and every measure.
     """
     rows = []
-    count: Counter = Counter()
     for run in runs:
         about = run.session.metadata
-        count[about.participant] += 1
-        facts = (about.participant, count[about.participant], about.condition, about.synthetic)
-        rows.append({**dict(zip(KEYS, facts, strict=True)), **run.measures})
-    return pd.DataFrame(rows)
+        facts = {name: getattr(about, name) for name in ("participant", "condition", "synthetic")}
+        rows.append(facts | run.measures)
+    table = pd.DataFrame(rows)
+    table.insert(1, "position", table.groupby("participant").cumcount() + 1)
+    return table

@@ -13,8 +13,7 @@ from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.models.checks import one_of
 from trustlab.models.published import published_models
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
-from trustlab.ros.core import AllocationCore
-from trustlab.ros.inputs import FIELDS, CoreSettings, Watchdog
+from trustlab.ros.core import FIELDS, AllocationCore, CoreSettings, Watchdog
 from trustlab.sessions.patterns import FieldPath
 
 
@@ -78,14 +77,12 @@ class Topic:
         ValueError
             If the message has no number there.
         """
-        values = []
         scales = self.scale or (1.0,) * len(self.fields)
-        for text, steps, scale in zip(self.fields, self.paths, scales, strict=True):
-            try:
-                values.append(scale * float(_part(message, steps)))
-            except (AttributeError, IndexError, TypeError, ValueError) as error:
-                raise ValueError(f"no number at {text} ({error})") from None
-        return tuple(values)
+        try:
+            numbers = [float(_part(message, steps)) for steps in self.paths]
+        except (AttributeError, IndexError, TypeError, ValueError) as error:
+            raise ValueError(f"no number at {', '.join(self.fields)} ({error})") from None
+        return tuple(scale * number for scale, number in zip(scales, numbers, strict=True))
 
     def fill(self, message: Any, values: tuple[float, ...]) -> None:
         """
@@ -145,9 +142,9 @@ class RunSettings:
         Of the person who drives.
     condition, thresholds : object
         As for `AllocationCore`.
-    rule, share : object or str
-        As for `AllocationCore`; or "module:name" of what makes the rule, or of the function. A run
-        whose rule has such a name can be replayed from its bag.
+    rule : object or str
+        As for `AllocationCore`; or "module:name" of what makes it. A run whose rule has such a name
+        can be replayed from its bag.
     correction : mapping, optional
         Arguments of `ThresholdCorrector`: target, horizon, c_b.
     settings : CoreSettings
@@ -174,7 +171,6 @@ class RunSettings:
     condition: str | None = None
     thresholds: tuple[float, float] | None = None
     rule: Any = None
-    share: Any = None
     correction: Mapping | None = None
     settings: CoreSettings = field(default_factory=CoreSettings)
     topics: Mapping[str, Topic] = field(default_factory=dict)
@@ -208,11 +204,12 @@ class RunSettings:
         ValueError
             If a name or a value is not understood.
         """
-        values = dict(tables)
+        values = {name: value for name, value in tables.items() if value is not None}
         settings = dict(values.pop("settings", {}))
-        watchdogs = CoreSettings().watchdogs
-        for name, table in settings.pop("watchdogs", {}).items():
-            watchdogs[name] = _made(Watchdog, f"settings.watchdogs.{name}", table)
+        settings["watchdogs"] = {
+            name: _made(Watchdog, f"settings.watchdogs.{name}", table)
+            for name, table in settings.pop("watchdogs", {}).items()
+        }
         model, sample_time = _model_of(values.pop("model", {}), folder)
         if sample_time is not None:
             settings.setdefault("model_sample_time", sample_time)
@@ -220,18 +217,15 @@ class RunSettings:
         for name, table in values.pop("topics", {}).items():
             changed = partial(dataclasses.replace, TOPICS[one_of("[topics]", name, TOPICS)])
             topics[name] = _made(changed, f"topics.{name}", table)
-        if values.get("thresholds") is not None:
+        if "thresholds" in values:
             values["thresholds"] = tuple(values["thresholds"])
-        core = _made(CoreSettings, "settings", settings | {"watchdogs": watchdogs})
+        core = _made(CoreSettings, "settings", settings)
         return _made(cls, "the run", values | {"model": model, "topics": topics, "settings": core})
 
     def tables(self) -> dict:
         """Return the run as plain tables; of a rule without a name nothing is left."""
-        named: dict = {
-            name: part if isinstance(part, str) else None
-            for name, part in (("rule", self.rule), ("share", self.share))
-        }
-        return dataclasses.asdict(dataclasses.replace(self, **named))
+        name = self.rule if isinstance(self.rule, str) else None
+        return dataclasses.asdict(dataclasses.replace(self, rule=name))
 
     def types(self) -> dict[str, str]:
         """Return the types of the messages of every topic recorded."""
@@ -245,8 +239,7 @@ class RunSettings:
             corrector = partial(ThresholdCorrector, self.model)
             correction = _made(corrector, "correction", self.correction)
         rule = _imported(self.rule)() if isinstance(self.rule, str) else self.rule
-        share = _imported(self.share) if isinstance(self.share, str) else self.share
-        allocation = self.model, self.condition, self.thresholds, rule, share, correction
+        allocation = self.model, self.condition, self.thresholds, rule, correction
         trial = AllocationCore(*allocation, dataclasses.replace(self.settings, wait=0.0))
         for name, fields in FIELDS.items():
             trial.hear(name, 0.0, (0.0,) * len(fields), 0.0)

@@ -17,8 +17,7 @@ from contextlib import suppress
 import pytest
 
 from trustlab.live.log import read_log
-from trustlab.live.study.live_study import LiveStudy
-from trustlab.live.study.plan import file_origin, read_tokens
+from trustlab.live.study.plan import LiveStudy, file_origin, read_tokens
 from trustlab.live.trial import read_record, stepped
 from trustlab.trust.dynamics import MODELS
 

@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 import trustlab as tl
-from trustlab.live.study.participant import Participant
-from trustlab.live.study.progress import progress_of
+from trustlab.live.study.participant import Participant, progress_of
 from trustlab.live.study.server import StudyServer
 
 # --- features -------------------------------------------------------------------------------------
@@ -117,6 +116,26 @@ def test_who_joins_takes_the_next_free_place_and_gets_a_code(make_plan, client):
     with StudyServer(plan) as server:
         assert client(server.experimenter + "/state").json["join"] == ""
         assert client(server.base + "/join/" + join.rpartition("/")[2]).status == 404
+
+
+def test_a_study_fixes_a_least_delay_and_marks_who_saw_later(tmp_path):
+    """Pictures are as late as the study says in the first drive, later by .15 s in the next."""
+    settings = {"duration": 1.0, "training": 1.0, "least_delay": 0.3, "rehearsal": True}
+    plan = tl.LiveStudy(tmp_path / "s", ["by_hand", "most_trusted"], 2, task="team", **settings)
+    plan.rehearse(0)
+    who = Participant(plan, "P01")
+    steps = [step.index for step in who.steps if step.page.name == "drive"]
+    for page, late in zip(steps, (6, 9), strict=True):
+        who.experimenter_restart({"page": page})
+        about = {"page": page, "window": "a"}
+        assert who.drive(about | {"begin": True})["config"]["late"] == 0.3
+        for k in range(20):
+            who.drive(about | {"k": k, "commands": [[0.0, 0.0, 0]], "seen": max(k - late, 0)})
+    who.close()
+    measures = tl.read_live_study(plan.folder).measures
+    own = measures[measures["participant"] == "P01"].sort_values("position")
+    assert own["delay"].tolist() == pytest.approx([0.3, 0.45])
+    assert own["seen_late"].tolist() == [False, True]
 
 
 # --- a page is a fold over events -----------------------------------------------------------------

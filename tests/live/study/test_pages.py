@@ -133,6 +133,8 @@ def test_a_page_that_belongs_to_no_drive_has_no_number(toml):
         ("[trust]\nsection='sometimes'", "section must be one of 'start', 'each', 'end'"),
         ("[drive]\nsection='start'", "section must be one of 'each'"),
         ("[training]\nkind='end'", "got 'kind'"),
+        ("[trust]\ntext=3", r"pages.toml, \[trust\]: text must be of type str, got 3"),
+        ("[mine]\nafter=['trust']\ntitle='x'\ntext='y'", "must say before or after which page"),
         ("[trust]\nitems=3", "items must be of type list, got 3"),
         ("[trust]\nitems=[{name='a', text='t', reversed=1}]", "reversed must be of type bool"),
         (

@@ -14,10 +14,9 @@ import pytest
 import trustlab as tl
 from trustlab.live import LeadingSettings, TeleoperationSettings
 from trustlab.live.hands import HumanHand
-from trustlab.live.study import live_study as planning
+from trustlab.live.study import plan as planning
 from trustlab.live.study.__main__ import main
-from trustlab.live.study.drives import drive_of
-from trustlab.live.study.plan import links_path, read_tokens, tokens_path
+from trustlab.live.study.plan import drive_of, links_path, read_tokens, tokens_path
 from trustlab.live.study.server import StudyServer
 from trustlab.live.tasks.ground_robot import TASK, Drive
 from trustlab.testbeds.ground_robot.kernel import COLUMNS
@@ -115,7 +114,7 @@ def test_a_folder_lost_in_a_copy_is_nobody_who_was_deleted(make_plan, client):
     """Some copies leave empty folders out."""
     plan = make_plan()
     (plan.folder / "P02").rmdir()
-    assert tl.read_live_study(plan.folder).deleted == ()
+    assert tl.read_live_study(plan.folder).deleted == []
     with StudyServer(plan) as server:
         assert client(server.links()["P02"] + "/state").json["page"] == 0
 
@@ -128,6 +127,12 @@ def test_a_damaged_file_beside_the_study_is_named(make_plan):
         with pytest.raises(ValueError, match=f"{path.name} was damaged"):
             StudyServer(plan).__enter__()
         path.unlink()
+
+
+def test_a_plan_that_cannot_be_served_is_not_frozen(tmp_path):
+    with pytest.raises(ValueError, match="guidance must be one of"):
+        tl.LiveStudy(tmp_path / "s", participants=5, task="teleoperation", guidance="nonsense")
+    assert not (tmp_path / "s").exists()
 
 
 def test_settings_of_flights_and_teams_are_named():
@@ -157,7 +162,7 @@ def test_conditions_and_courses_of_ones_own_are_driven(make_plan):
     with pytest.raises(ValueError, match="holds a frozen plan with other own_conditions"):
         make_plan(["C3", tl.LiveCondition("slow", "tsc", True, 9.0)], 2, **options)
     for name, notice in (("C3", 3.0), ("slow", 10.0)):
-        config = drive_of(plan.content, name, plan.content["stand_in"], seed=1)
+        config = drive_of(plan.content, name, seed=1)
         assert config["path"] == course.path.tolist()
         log = drive_rows(config, lambda mode, suggested: 1)  # nothing is accepted
         mode = log["mode"].to_numpy()
@@ -177,7 +182,7 @@ def test_a_rule_of_ones_own_is_driven(make_plan):
     options = {"laps": 3, "training": 5.0, "rehearsal": True}
     plan = make_plan(["C1", rest], 2, **options)
     assert make_plan(["C1", rest], 2, **options).content == plan.content
-    config = drive_of(plan.content, "rest", plan.content["stand_in"], seed=1)
+    config = drive_of(plan.content, "rest", seed=1)
     # Everything is accepted.
     log = drive_rows(config, lambda mode, suggested: mode if suggested < 0 else suggested)
     standing, expected = 1, []

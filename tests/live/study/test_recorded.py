@@ -13,8 +13,8 @@ import pytest
 
 import trustlab as tl
 from tests.live.cases import entries, events
-from trustlab.live.study.drives import FROM_FIT, FROM_PART, FROM_STAND_IN, identified
-from trustlab.live.study.export import write_export
+from trustlab.live.fit import FROM_FIT, FROM_PART, FROM_STAND_IN, identified
+from trustlab.live.study.recorded import write_export
 from trustlab.live.tasks.ground_robot import model_of
 from trustlab.live.trial import Trial
 from trustlab.testbeds import published_operator
@@ -322,7 +322,7 @@ def drive(participant, *phases):
 
 def test_a_drive_too_short_falls_back_to_the_plan_and_says_so(make_plan):
     plan = make_plan()
-    found = identified(plan, drive(2, (1, 30.0), (0, 30.0)))
+    found = identified(plan.content, drive(2, (1, 30.0), (0, 30.0)))
     assert found["source"] == FROM_STAND_IN
     assert found["why"].startswith("no model: ")
     assert (found["model"], found["thresholds"]) == tuple(plan.content["stand_in"].values())
@@ -339,7 +339,7 @@ def test_what_a_drive_leaves_undetermined_is_held_and_the_rest_is_the_participan
     )
     phases = [tuple(phase) for phase in plan.content["identification"]]
     for participant in (2, 4):
-        found = identified(plan, drive(participant, *phases))
+        found = identified(plan.content, drive(participant, *phases))
         assert found["source"] in (FROM_FIT, FROM_PART)
         assert found["why"].startswith("held at the stand-in's value: ")
         own = model_of(found["model"])

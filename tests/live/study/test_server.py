@@ -3,7 +3,6 @@ What a server must refuse, and what it must not lose; asked over sockets, withou
 the files on the disk.
 """
 
-import io
 import json
 import os
 import re
@@ -12,7 +11,6 @@ import socket
 import stat
 import threading
 import time
-import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 
@@ -71,7 +69,6 @@ def test_wrong_tokens_lead_nowhere(served, client):
         statuses = [client(link + path).status for path in ("", "/state", "/export")]
         statuses += [client(f"{link}/{post}", CONSENT | END).status for post in ("answers", "act")]
         assert set(statuses) == {404}, place
-    assert client(served.links["P01"] + "/export").status == 404
     assert events(served.plan) == []
 
 
@@ -124,6 +121,12 @@ def test_answers_tell_browsers_to_run_and_fetch_nothing_else(served, client):
     assert stat.S_IMODE(tokens_path(served.plan.folder).stat().st_mode) == 0o600
 
 
+def test_a_page_and_its_drive_load_less_than_200_kilobytes(served, client, page):
+    loaded = sum(map(len, served.server.files.values()))
+    loaded += len(client(served.links["P01"] + "/state").content)
+    assert loaded + len(json.dumps(page.begin())) < 200_000
+
+
 def test_the_participant_is_told_no_condition(served, client, page, driving_page):
     url, said = served.links["P01"], b""
     for path in ("", "/state"):
@@ -173,7 +176,7 @@ def test_words_that_no_file_can_hold_are_refused(served, client):
     )
     note = b'{"participant": "P01", "action": "note", "text": "\\ud800"}'
     assert client(f"{served.server.experimenter}/act", note).status == 400
-    assert client(f"{served.server.experimenter}/export").status == 200
+    assert tl.read_live_study(served.plan.folder).export().exists()
 
 
 def test_connections_are_capped_and_slow_heads_time_out(make_plan, client, monkeypatch):
@@ -230,6 +233,26 @@ def test_a_disk_that_is_full_acknowledges_nothing(served, client, page, full_dis
     assert "is saved again" in caplog.text
 
 
+def test_a_slow_disk_holds_up_its_own_log_only(served, client, page, driving_page, monkeypatch):
+    client(served.links["P02"] + "/answers", CONSENT)
+    other = driving_page(served.links["P02"])
+    other.begin()
+    slow, sync = served.server.participant("P01").trial.log.handle, os.fsync
+
+    def synced(handle):
+        if handle == slow:
+            time.sleep(2.0)
+        sync(handle)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    page.socket.send(json.dumps({"window": "a", "k": 0, "commands": [[0.3, 0.1, 1]], "seen": 0}))
+    began = time.monotonic()
+    assert [other.drive(k, 1)["k"] for k in range(5)] == [1, 2, 3, 4, 5]
+    assert time.monotonic() - began < 1.0
+    assert json.loads(page.socket.recv())["k"] == 1
+    assert time.monotonic() - began > 1.9
+
+
 def test_a_second_click_and_a_second_window_find_the_page_done(served, client):
     url = served.links["P01"]
     with ThreadPoolExecutor(8) as pool:
@@ -254,7 +277,7 @@ def test_a_failed_start_lets_the_study_go(make_plan):
             pass
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        with pytest.raises(ValueError, match=f"cannot be served on .*, port {port}"):
+        with pytest.raises(ValueError, match=f"cannot be served on port {port}"):
             StudyServer(plan, port=port).__enter__()
     with StudyServer(plan) as server:
         assert server.links()
@@ -311,8 +334,6 @@ def test_enrolment_and_requests_at_once_break_no_log(make_plan, client):
 
 def test_only_a_proxy_leads_people_here_from_other_machines(make_plan, client):
     plan = make_plan()
-    with pytest.raises(ValueError, match=r"unencrypted: .* behind a proxy"):
-        StudyServer(plan, "0.0.0.0")
     with pytest.raises(ValueError, match="url must be like"):
         StudyServer(plan, url="https://lab.test/study")
     with StudyServer(plan, url="https://lab.test") as server:
@@ -379,9 +400,6 @@ def test_the_experimenter_sees_adds_and_ends(served, client, page):
         assert client(f"{experimenter}/act", body).status == 400
     long = client(f"{experimenter}/act", note | {"text": "x" * 1001}).json["error"]
     assert long.startswith("note: the answer must be 1 to 1000 characters")
-    archive = client(f"{experimenter}/export")
-    assert (archive.status, archive.headers["Content-Type"]) == (200, "application/zip")
-    assert zipfile.is_zipfile(io.BytesIO(archive.content))
     assert client(f"{experimenter}/act", END).status == 200
     assert client(served.links["P01"] + "/state").json["kind"] == "end"
     table = tl.read_live_study(served.plan.folder).participants.set_index("participant")
@@ -416,7 +434,7 @@ def test_who_is_deleted_while_the_study_is_served_is_gone(served, client, page):
     seen = client(served.server.experimenter + "/state").json
     assert (seen["deleted"], [person["code"] for person in seen["people"]]) == (1, ["P02", "P03"])
     study = tl.read_live_study(served.plan.folder)
-    assert study.deleted == ("P01",)
+    assert study.deleted == ["P01"]
     assert study.faults().empty
     assert "1 deleted" in study.summary()
 
@@ -468,17 +486,18 @@ def nonsense(rng, depth=0):
     return str(rng.choice(words)) if kind < 2 else known[rng.integers(len(known))]
 
 
-def test_random_bodies_and_messages_make_no_mistake(served, client, page):
+@pytest.mark.parametrize("count", [300, pytest.param(1500, marks=pytest.mark.long)])
+def test_random_bodies_and_messages_make_no_mistake(served, client, page, count):
     """What is refused is refused by a number below 500, and lets nothing in."""
     rng = np.random.default_rng(0)
     experimenter = served.server.experimenter
     links = [f"{served.links['P02']}/answers", f"{experimenter}/act", f"{served.links['P02']}/x"]
     links += [f"{served.base}/join/{'x' * 22}", f"{served.base}/p/{'y' * 22}/answers"]
-    statuses = [client(links[k % 5], nonsense(rng)).status for k in range(400)]
+    statuses = [client(links[k % 5], nonsense(rng)).status for k in range(count)]
     assert max(statuses) < 500
     assert "This page cannot go on" in page.say(k=0, commands=[[9.0, 0.1, 1]], seen=0)["refused"]
     texts = ["", "{", "[]", "3", '{"k": NaN}', "[" * 5000, '"\\ud83d"']
-    for text in [*texts, *(json.dumps(nonsense(rng)) for _ in range(400))]:
+    for text in [*texts, *(json.dumps(nonsense(rng)) for _ in range(count))]:
         page.socket.send(text)
         answer = json.loads(page.socket.recv())
         assert {"refused", "k", "done"} & set(answer), answer

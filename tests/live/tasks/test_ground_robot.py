@@ -9,19 +9,20 @@ import pandas as pd
 import trustlab as tl
 from trustlab.live.hands import HumanHand
 from trustlab.live.task import scripted_commands
-from trustlab.live.tasks.ground_robot import TASK, Drive, drive_config
+from trustlab.live.tasks.ground_robot import TASK, drive_config
 
 MODEL = tl.published_models()["2"]
 
 
-def driven(config, seed=1):
+def driven(condition, seed, **settings):
+    config = drive_config(tl.DriveSettings(**settings).as_json(), condition, seed)
     _, rows = scripted_commands(TASK, config, HumanHand(config, seed))
     return TASK.session(config, rows, synthetic=True)
 
 
 def test_the_live_task_is_as_hard_as_people_found_it():
     """Means from 100 s on, when the window of (2.4) is full, beside the best of each person."""
-    drives = [driven(drive_config("training", laps=2, seed=k), k).data[100.0:] for k in range(2)]
+    drives = [driven("C1", k, laps=2).data[100.0:] for k in range(2)]
     hand = pd.concat(drives).mean()
     people = [tl.published_models()[name] for name in "12345"]
     for signal, most in (
@@ -31,19 +32,9 @@ def test_the_live_task_is_as_hard_as_people_found_it():
         assert min(most) - 0.02 < hand[signal] < max(most) + 0.02, signal
 
 
-def test_settings_of_a_log_from_before_they_were_split_give_the_same_session():
-    """Once the task held what its switching needs, too."""
-    rest = tl.LiveCondition("rest", {"r": 1.0}, thresholds=(0.1, 0.3))
-    config = drive_config(rest, MODEL, seconds=2.0)
-    rows = [Drive(config).step(0.1, 0.0, 1.0)] * 3
-    old = {**config, "task": config["task"] | config["switching"]}
-    del old["switching"]
-    assert TASK.session(old, rows).metadata == TASK.session(config, rows).metadata
-
-
 def test_an_identification_drive_is_fitted():
     phases = [(1, 250.0), (0, 250.0), (1, 200.0)]
-    session = driven(drive_config("identification", MODEL, seed=3, schedule=phases))
+    session = driven("identification", 3, identification=phases)
     assert session["mode"][[0, 2499, 2500, 4999, 5000]].tolist() == [1.0, 1.0, 0.0, 0.0, 1.0]
     assert 0.25 < tl.fit_robot(session).model.p_max < 0.5
 

@@ -13,8 +13,7 @@ from statsmodels.stats.inter_rater import cohens_kappa
 import trustlab as tl
 from tests.live.cases import commands_for, configured, session_of
 from trustlab.live.task import task_named
-from trustlab.live.tasks.agreement import occasions, policy_agreement
-from trustlab.live.tasks.team import ABILITIES
+from trustlab.live.tasks.team import ABILITIES, occasions, policy_agreement
 from trustlab.operators.teleoperator import REACH
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, TeamTrial
@@ -138,7 +137,7 @@ def test_agreement_is_cohens_kappa():
         square = pd.crosstab(table["chosen"], table["most_trusted"])
         square = square.reindex(index=range(1, 5), columns=range(1, 5), fill_value=0)
         oracle = cohens_kappa(square.to_numpy())
-        single = policy_agreement([run], draws=100).loc["most_trusted"]
+        single = policy_agreement([run]).loc["most_trusted"]
         assert single["kappa"] == pytest.approx(oracle.kappa)
         assert np.isnan(single["low"])
         count = len(table)

@@ -102,7 +102,6 @@ function show(state) {
   document.getElementById("about").textContent =
     `${state.people.length} participants.${gone} ` +
     "This page and the links on it are for the experimenter only.";
-  document.getElementById("export").href = `${base}/export`;
   const join = document.getElementById("join");
   join.hidden = !state.join;
   join.href = state.join;

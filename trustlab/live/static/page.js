@@ -56,7 +56,7 @@ export function keepKeys(...focusable) {
 
 // Give an element's document, or its shadow root, a style sheet; an element that is not attached
 // yet has none that could take it.
-export function dress(root, css) {
+export function addStyle(root, css) {
   const sheet = new CSSStyleSheet();
   sheet.replaceSync(css);
   const put = () => {

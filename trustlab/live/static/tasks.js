@@ -5,7 +5,7 @@
 // picture as late as the camera, and as late as the connection alone; wait(on), it stands still.
 import { Hands } from "./hands.js";
 import { MIDDLE, PAD_STYLE, SIZE, Stick, dot, drawPad, drawPicture } from "./pad.js";
-import { clamp, dress, element, filled, gamepad, keepKeys, say, stroke } from "./page.js";
+import { clamp, addStyle, element, filled, gamepad, keepKeys, say, stroke } from "./page.js";
 import { furnish, refusal } from "./view.js";
 
 const COLOURS = ["#0072b2", "#a04800", "#00784f", "#8a3b8f", "#8c6d00", "#47525e"];
@@ -59,7 +59,7 @@ class Squares {
       right = element("canvas", { className: "pad", ariaLabel: words.square, ...size });
     this.status = element("div", { className: "status", role: "status" });
     this.below = element("div", { className: "below" }, this.status);
-    dress(root, PAD_STYLE);
+    addStyle(root, PAD_STYLE);
     root.className = "tl-track";
     root.tabIndex = 0;
     keepKeys(root);
@@ -79,7 +79,7 @@ class Squares {
     drawPad(this.pad, stick.read(), { device, guide: force }, this.largest);
     // A vibration cue: it has no direction.
     stick.rumble(size / this.largest);
-    const seconds = Math.max(config.duration - k * config.sample_time, 0).toFixed(0);
+    const seconds = Math.max((config.samples - k) * config.sample_time, 0).toFixed(0);
     const left = filled(config.words.time_left, { seconds });
     say(this.status, this.still ? config.words.waiting : left);
   }

@@ -1,5 +1,5 @@
 // What a driver sees: camera, gauges and panel.
-import { clamp, dress, element, filled, keepKeys, say, stroke } from "./page.js";
+import { clamp, addStyle, element, filled, keepKeys, say, stroke } from "./page.js";
 
 export const STYLE = `
 .tl-drive {
@@ -62,8 +62,7 @@ function fitted(canvas, shape, resized, signal) {
 // to hold on to.
 export class Camera {
   constructor(canvas, config, signal) {
-    const course = config.view.map ? new CourseMap(config.path) : null;
-    Object.assign(this, { config, canvas, course });
+    Object.assign(this, { config, canvas });
     this.g = fitted(
       canvas,
       11 / 24,
@@ -126,30 +125,6 @@ export class Camera {
       );
     }
     g.globalAlpha = 1;
-    this.course?.draw(g, at);
-  }
-}
-
-// The small map for experimenters: the path, drawn once, and where the robot is.
-class CourseMap {
-  constructor(path) {
-    const xs = path.map((p) => p[0]),
-      ys = path.map((p) => p[1]),
-      low = [Math.min(...xs), Math.min(...ys)];
-    const scale = 150 / (Math.max(...xs) - low[0]);
-    this.place = (x, y) => [10 + scale * (x - low[0]), 130 - scale * (y - low[1])];
-    this.sheet = Object.assign(element("canvas"), { width: 172, height: 140 });
-    const g = this.sheet.getContext("2d");
-    g.fillStyle = "rgba(255,255,255,.85)";
-    g.fillRect(0, 0, 172, 140);
-    stroke(g, "#555", 1, ...path.map(([x, y]) => this.place(x, y)));
-  }
-
-  draw(g, at) {
-    const [x, y] = this.place(at.x, at.y);
-    g.drawImage(this.sheet, 0, 0);
-    g.fillStyle = "#0072b2";
-    g.fillRect(x - 4, y - 4, 8, 8);
   }
 }
 
@@ -305,7 +280,7 @@ export class Panel {
 
 export function furnish(root, config, toggle, signal) {
   const { words } = config;
-  dress(root, STYLE);
+  addStyle(root, STYLE);
   root.classList.add("tl-drive");
   root.tabIndex = 0;
   const camera = element("canvas", { ariaLabel: words.camera }),

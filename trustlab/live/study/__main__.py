@@ -7,8 +7,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from trustlab.live.study.live_study import LiveStudy
-from trustlab.live.study.plan import PLAN
+from trustlab.live.study.plan import PLAN, LiveStudy
 
 
 def main(words: list[str] | None = None) -> int:

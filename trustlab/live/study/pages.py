@@ -5,8 +5,8 @@ which answers are accepted.
 
 import re
 import tomllib
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +32,6 @@ OWN = ("title", "text", "section", "scored", "items", "group")
 KEYS = (*OWN, *SCALE, "before", "after", "skip")
 """What the table of a page may hold; its kind is no lab's to choose."""
 
-LISTS = ("items", "choices")
-
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 
@@ -57,43 +55,58 @@ class Item:
     An item with an `expected` answer checks attention.
     """
 
-    name: str
-    text: str
+    name: str = ""
+    text: str = ""
     kind: str = "scale"
     low: int = 1
     high: int = 7
     step: int = 1
     left: str = ""
     right: str = ""
-    choices: tuple[str, ...] = ()
+    choices: list = field(default_factory=list)
     reversed: bool = False
     required: bool = False
     expected: Any = None
+
+    def __post_init__(self):
+        if not NAME.fullmatch(self.name) or not self.text:
+            raise ValueError(
+                "it needs a text, and a name of small letters, digits and _, at most 40, that "
+                "begins with a letter"
+            )
+        one_of("kind", self.kind, ITEMS)
+        if not all(isinstance(choice, str) for choice in self.choices):
+            raise ValueError(f"choices must be words, got {shown(self.choices)}")
+        if self.kind == "choice" and len(set(self.choices)) < max(2, len(self.choices)):
+            raise ValueError(f"a choice needs two different choices or more, got {self.choices}")
+        steps, rest = divmod(self.high - self.low, max(self.step, 1))
+        if self.kind == "scale" and (self.step < 1 or rest or not 1 <= steps <= 1000):
+            raise ValueError(
+                f"step {self.step} does not lead from low {self.low} to high {self.high}, in at "
+                "most 1000 steps"
+            )
+        if self.expected is not None:
+            try:
+                self.check(self.expected)
+            except AnswerError:
+                raise ValueError(f"expected = {shown(self.expected)} is no answer to it") from None
 
     def check(self, answer: Any) -> None:
         """Refuse an answer that this item does not allow."""
         if self.kind == "scale":
             fits = type(answer) is int and answer in range(self.low, self.high + 1, self.step)
+            allowed = f"{self.low} to {self.high} in steps of {self.step}"
         elif self.kind == "check":
-            fits = answer is True
+            fits, allowed = answer is True, "given"
+        elif self.kind == "choice":
+            fits, allowed = answer in self.choices, f"one of {', '.join(self.choices)}"
         else:
             fits = isinstance(answer, str) and len(answer) <= LONGEST_ANSWER and storable(answer)
-            fits = fits and (self.kind == "text" or answer in self.choices)
-            fits = fits and not (self.required and not answer.strip())
+            fits = fits and bool(answer.strip() or not self.required)
+            least = int(self.required)
+            allowed = f"{least} to {LONGEST_ANSWER} characters that files can hold"
         if not fits:
-            raise AnswerError(f"{self.name}: the answer must be {self.allowed}")
-
-    @property
-    def allowed(self) -> str:
-        """What may be answered, in words."""
-        if self.kind == "scale":
-            return f"{self.low} to {self.high} in steps of {self.step}"
-        if self.kind == "check":
-            return "given"
-        if self.kind == "choice":
-            return f"one of {', '.join(self.choices)}"
-        least = int(self.required)
-        return f"{least} to {LONGEST_ANSWER} characters that files can hold"
+            raise AnswerError(f"{self.name}: the answer must be {allowed}")
 
 
 @dataclass(frozen=True)
@@ -106,13 +119,27 @@ class StudyPage:
     """
 
     name: str
-    title: str
-    text: str
-    section: str
+    title: str = ""
+    text: str = ""
+    section: str = ""
     kind: str = "form"
     scored: str = ""
-    items: tuple[Item, ...] = ()
+    items: list = field(default_factory=list)
     group: str = ""
+
+    def __post_init__(self):
+        if not self.title.strip() or not self.text:
+            raise ValueError("it needs a title and a text")
+        one_of("scored", self.scored, ("", *SCORED))
+        one_of("section", self.section, FIXED.get(self.name, SECTIONS))
+        names = [item.name for item in self.items]
+        if len(set(names)) < len(names):
+            raise ValueError(f"two items have the same name: {names}")
+        scales = {(item.low, item.high, item.step) for item in self.scales}
+        if self.scored and len(scales) != 1:
+            raise ValueError(
+                f"a scored page has items on one scale, got {sorted(scales) or 'none'}"
+            )
 
     @property
     def scales(self) -> list[Item]:
@@ -132,12 +159,8 @@ class StudyPage:
 
     @classmethod
     def read(cls, content: dict) -> "StudyPage":
-        """Return a page from what `asdict` made of it; older plans hold more."""
-        items = tuple(
-            Item(**item | {"choices": tuple(item["choices"])}) for item in content["items"]
-        )
-        parts = {name: content[name] for name in cls.__annotations__}
-        return cls(**parts | {"items": items})
+        """Return a page from what `asdict` made of it."""
+        return cls(**content | {"items": [Item(**item) for item in content["items"]]})
 
 
 @dataclass(frozen=True)
@@ -158,17 +181,18 @@ class Step:
         return f"{self.index:02d}-{self.page.name}"
 
 
-def steps_of(pages: Iterable[StudyPage], order: Iterable[str], group: str = "") -> list[Step]:
+def steps_of(pages: Sequence[StudyPage], order: Iterable[str], group: str = "") -> list[Step]:
     """
     Return a participant's way through the study: the start, what belongs to each condition of their
     order, and the end; pages of another group are left out.
     """
-    own, order = [page for page in pages if page.group in ("", group)], list(order)
-    places = [("each", condition, number) for number, condition in enumerate(order, 1)]
+    order = list(order)
+    places: list[tuple] = [("each", condition, k) for k, condition in enumerate(order, 1)]
     steps: list[Step] = []
     for section, condition, position in (("start", None, None), *places, ("end", None, None)):
-        for page in own:
-            if page.section != section or (page.name == "pause" and position == len(order)):
+        for page in pages:
+            others = page.section != section or page.group not in ("", group)
+            if others or (page.name == "pause" and position == len(order)):
                 continue
             title = page.title
             if position is not None:
@@ -224,96 +248,54 @@ def _content(path: Path) -> dict:
 
 def _changed(tables: dict[str, dict], name: str, table: dict, where: str) -> dict[str, dict]:
     """Return pages of which a file's table changes one, leaves one out, or is a new one."""
-    place = {side: table.pop(side) for side in ("before", "after") if side in table}
-    skip = table.pop("skip", False)
+    before, after, skip = (table.pop(key, "") for key in ("before", "after", "skip"))
+    anchor = before or after
     if name in tables:
-        if place:
+        if anchor:
             raise ValueError(
                 f"{where} is there already, and keeps its place; leave out before and after"
             )
-        if not skip:
-            return tables | {name: tables[name] | table}
-        if name in FIXED:
+        if skip and name in FIXED:
             raise ValueError(f"{where} cannot be left out of a study")
-        return {key: page for key, page in tables.items() if key != name}
-    follows, anchor = "after" in place, next(iter(place.values()), None)
-    at_end = follows and anchor == "debriefing"
-    if len(place) != 1 or anchor not in tables or "section" in table or at_end:
+        changed = tables | {name: tables[name] | table}
+        return {key: page for key, page in changed.items() if key != name or not skip}
+    at_end = after == "debriefing"
+    if bool(before) == bool(after) or anchor not in list(tables) or "section" in table or at_end:
         raise ValueError(
             f"{where} must say before or after which page it stands: one of {', '.join(tables)}"
         )
     order = list(tables)
-    order.insert(order.index(anchor) + follows, name)
+    order.insert(order.index(anchor) + bool(after), name)
     tables = {**tables, name: {**table, "section": tables[anchor]["section"]}}
     return {key: tables[key] for key in order}
-
-
-def _check(where: str, kind: type, table: dict) -> None:
-    """Refuse what is no field of a page or an item, and values of other types."""
-    types = kind.__annotations__ | {key: list for key in LISTS if key in kind.__annotations__}
-    for key, value in table.items():
-        wanted = types[one_of(f"a key of {where}", key, types)]
-        if wanted is not Any and type(value) is not wanted:
-            raise ValueError(
-                f"{where}: {key} must be of type {wanted.__name__}, got {shown(value)}"
-            )
 
 
 def _page(where: str, name: str, table: dict) -> StudyPage:
     """Return a page from its table in TOML files."""
     common = {key: table[key] for key in SCALE if key in table}
-    own = {"title": "", "text": "", "items": []} | table | {"name": name}
-    own = {key: value for key, value in own.items() if key not in SCALE}
-    _check(where, StudyPage, own)
-    items = tuple(_item(where, item, common) for item in own["items"])
-    text = re.sub(r"(?<!\n)\n(?!\n)", " ", own["text"].strip())
-    page = StudyPage(**own | {"items": items, "text": text})
-    if not page.title.strip() or not text:
-        raise ValueError(f"{where} needs a title and a text")
-    one_of(f"{where}: scored", page.scored, ("", *SCORED))
-    one_of(f"{where}: section", page.section, FIXED.get(name, SECTIONS))
-    names = [item.name for item in page.items]
-    if len(set(names)) < len(names):
-        raise ValueError(f"{where}: two items have the same name: {names}")
-    scales = {(item.low, item.high, item.step) for item in page.scales}
-    if page.scored and len(scales) != 1:
-        raise ValueError(
-            f"{where}: a scored page has items on one scale, got {sorted(scales) or 'none'}"
-        )
-    return page
+    own = {key: value for key, value in table.items() if key not in SCALE} | {"name": name}
+    if isinstance(own.get("items"), list):
+        own["items"] = [_item(where, item, common) for item in own["items"]]
+    if isinstance(own.get("text"), str):
+        own["text"] = re.sub(r"(?<!\n)\n(?!\n)", " ", own["text"].strip())
+    return _made(where, StudyPage, own)
 
 
 def _item(where: str, table: Any, common: dict) -> Item:
     """Return an item from its table; what its page gives holds where it gives nothing itself."""
-    if not isinstance(table, dict) or not {"name", "text"} <= set(table):
-        raise ValueError(f"{where}: an item needs a name and a text, got {shown(table)}")
-    where = f"{where}, item {table['name']!r}"
-    own = {"choices": []} | common | table
-    _check(where, Item, own)
-    choices = tuple(own["choices"])
-    item = Item(**own | {"choices": choices})
-    if not NAME.fullmatch(item.name):
-        raise ValueError(
-            f"{where}: a name has small letters, digits and _, at most 40, and begins with a letter"
-        )
-    one_of(f"{where}: kind", item.kind, ITEMS)
-    if not all(isinstance(choice, str) for choice in choices):
-        raise ValueError(f"{where}: choices must be words, got {shown(choices)}")
-    if item.kind == "choice" and len(set(choices)) < max(2, len(choices)):
-        raise ValueError(
-            f"{where}: a choice needs two different choices or more, got {list(choices)}"
-        )
-    steps, rest = divmod(item.high - item.low, max(item.step, 1))
-    if item.kind == "scale" and (item.step < 1 or rest or not 1 <= steps <= 1000):
-        raise ValueError(
-            f"{where}: step {item.step} does not lead from low {item.low} to high {item.high}, in "
-            "at most 1000 steps"
-        )
-    if item.expected is not None:
-        try:
-            item.check(item.expected)
-        except AnswerError:
-            raise ValueError(
-                f"{where}: expected = {shown(item.expected)} is no answer to it"
-            ) from None
-    return item
+    if not isinstance(table, dict):
+        raise ValueError(f"{where}: an item is a table, got {shown(table)}")
+    return _made(f"{where}, item {shown(table.get('name'))}", Item, common | table)
+
+
+def _made(where: str, kind: type, table: dict) -> Any:
+    """Return a page or an item from its fields by name; errors say where it stands."""
+    types = kind.__annotations__
+    try:
+        for key, value in table.items():
+            wanted = types[one_of("a key", key, types)]
+            if wanted not in (Any, type(value)):
+                raise ValueError(f"{key} must be of type {wanted.__name__}, got {shown(value)}")
+        return kind(**table)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None

@@ -7,30 +7,177 @@ from __future__ import annotations
 
 import secrets
 import time
-from typing import Any
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from trustlab.live.fit import identified, stand_in
 from trustlab.live.log import Log, LogError
-from trustlab.live.study.drives import Attempt, identified, stand_in
 from trustlab.live.study.pages import AnswerError, Item, Step
 from trustlab.live.study.plan import (
     EVENTS,
     DeletedError,
-    Plan,
+    LiveStudy,
+    drive_of,
     file_origin,
     is_deleted,
     note_link,
     read_links,
 )
-from trustlab.live.study.progress import Progress, progress_of
-from trustlab.live.trial import Trial
+from trustlab.live.task import PERIOD, scripted_commands
+from trustlab.live.trial import Record, Trial, read_record
+from trustlab.sessions.session import Session
 
 HIDDEN = ("condition", "seed", "scheme")
 """What pages are not told of a drive."""
 
 PRIVATE = ("reversed", "expected")
 """What they are not told of an item."""
+
+
+@dataclass
+class Progress:
+    """
+    What a participant's events add up to.
+
+    Parameters
+    ----------
+    done : dict of int to dict
+        The event that finished each page.
+    attempts : dict of int to int
+        Number of the current attempt of each drive, from 0.
+    model : dict or None
+        Model and thresholds from the identification drive, or what stands in for them.
+    ended : bool
+        Whether the participation was ended.
+    withdrawn : bool
+        Whether the participant did that.
+    completion : str
+        The code that the last page shows who came by the link for joining.
+    notes : list of dict
+        What the experimenter has noted, and torn lines.
+    """
+
+    done: dict[int, dict] = field(default_factory=dict)
+    attempts: dict[int, int] = field(default_factory=dict)
+    model: dict | None = None
+    ended: bool = False
+    withdrawn: bool = False
+    completion: str = ""
+    notes: list[dict] = field(default_factory=list)
+
+    def page(self, pages: int) -> int:
+        """
+        Return the page to show of so many: the first that is not done, and the last one at the end.
+        """
+        last = pages - 1
+        if self.ended:
+            return last
+        return next((page for page in range(last) if page not in self.done), last)
+
+    def answers(self, page: int) -> dict:
+        """Return the answers of a page, if there are any: a damaged line may have lost them."""
+        return self.done.get(page, {}).get("answers", {})
+
+    def attempt(self, page: int) -> int:
+        """Return the number of the current attempt of a drive."""
+        return self.attempts.get(page, 0)
+
+
+def progress_of(events: Iterable[Mapping]) -> Progress:
+    """Return where a participant is, from all that has happened."""
+    now = Progress()
+    for event in events:
+        match event["kind"]:
+            case "page":
+                now.done[event["page"]] = dict(event)
+            case "restart":
+                page = event["page"]
+                now.done.pop(page, None)
+                now.attempts[page] = now.attempt(page) + 1
+            case "model":
+                now.model = dict(event)
+            case "enrol":
+                now.completion = event["completion"]
+            case "end":
+                now.ended = True
+                now.withdrawn |= event.get("source") == "participant"
+            case "note" | "torn":
+                now.notes.append(dict(event))
+    return now
+
+
+class Attempt(NamedTuple):
+    """An attempt at a drive of a study, numbered from 0."""
+
+    plan: LiveStudy
+    code: str
+    step: Step
+    number: int
+
+    @property
+    def path(self) -> Path:
+        """The log."""
+        again = f".{self.number + 1}" if self.number else ""
+        return self.plan.folder / self.code / f"{self.step.name}{again}.jsonl"
+
+    @property
+    def origin(self) -> str:
+        """What the log's first line is linked to."""
+        return file_origin(self.plan.digest, self.code, self.path.stem)
+
+    @property
+    def seed(self) -> int:
+        """A child of the study's seed by participant, page and attempt."""
+        key = (list(self.plan.orders).index(self.code), self.step.index, self.number)
+        child = np.random.SeedSequence(self.plan.content["seed"], spawn_key=key)
+        return int(child.generate_state(1)[0])
+
+    def settings(self, model: dict | None) -> tuple[dict, dict]:
+        """
+        Return what determines the drive but for the commands, and what else the log begins with:
+        the condition, and where the participant's model comes from.
+        """
+        known = model or stand_in(self.plan.content, "no identification drive")
+        condition = self.step.condition or self.step.page.name
+        config = drive_of(self.plan.content, condition, self.seed, model)
+        return config, {"condition": condition, "source": known["source"], "why": known["why"]}
+
+    def read(self, link: str | None = None) -> tuple[Record | None, str]:
+        """
+        Return what the log says, if anything, and what is wrong with it, "" for nothing: its rows
+        are compared with a replay, its last link with the one that is known.
+        """
+        record, last, fault = read_record(self.path, self.origin)
+        if record and not fault and (wrong := record.fault(self.plan.task)):
+            fault = f"{self.path.name}: {wrong}"
+        if not fault and link not in (None, last):
+            fault = f"{self.path.name}: it does not end where the drive was finished"
+        return record, fault
+
+    def session(self, record: Record, fault: str) -> Session:
+        """
+        Return the logged rows; their metadata hold the verdict, the log period, pauses, and the
+        delay with which pictures were seen.
+        """
+        config, facts = record.settings, record.facts(fault)
+        late = config["late"] + max(config["sample_time"], PERIOD)
+        return self.plan.task.session(
+            config,
+            record.rows,
+            **facts,
+            seen_late=facts["delay"] > late,
+            position=self.step.position,
+            page=self.step.index,
+            attempt=self.number,
+            thresholds_from=record.header["source"],
+            participant=self.code,
+            condition=record.header["condition"],
+            synthetic=self.plan.rehearsal,
+        )
 
 
 class RefusedError(AnswerError):
@@ -44,10 +191,10 @@ class Participant:
     A participant in a study that is being served or rehearsed.
 
     The folder has the events, which are all there is to know, and a log per drive. If they are
-    `scripted`, a scripted person's commands take the place of those that their page sends.
+    `scripted`, a scripted person's commands take the place of those that come.
     """
 
-    def __init__(self, plan: Plan, code: str, scripted: bool = False):
+    def __init__(self, plan: LiveStudy, code: str, scripted: bool = False):
         self.plan, self.code = plan, code
         self.scripted = scripted
         self.folder = plan.folder / code
@@ -64,7 +211,7 @@ class Participant:
             )
         self.events: list[dict] = self.log.entries
         self.trial: Trial | None = None
-        self.hand: Any = None
+        self.script: list[list[float]] = []
         self.last_request: float | None = None
         self._note_torn(self.log)
 
@@ -159,9 +306,11 @@ class Participant:
             return {"done": True}  # what this window drove is over, or was begun again
         attempt = self.attempt(step)
         trial = self._trial(attempt)
-        if self.scripted and message.get("commands"):
-            command = [float(value) for value in self.hand(trial.run.picture())]
-            message = {**message, "commands": [command]}
+        if self.scripted and isinstance(message.get("commands"), list):
+            k = len(trial.rows)
+            late = trial.settings["late"] / trial.settings["sample_time"]
+            commands = self.script[k : k + len(message["commands"])]
+            message = message | {"k": k, "commands": commands, "seen": max(k - late, 0.0)}
         answer = trial.take(message)
         if "begin" in message:
             shown = {k: x for k, x in trial.settings.items() if k not in HIDDEN}
@@ -180,8 +329,11 @@ class Participant:
                 self.add("begin", page=attempt.step.index, attempt=attempt.number)
             self._note_torn(trial.log)
             self.trial = trial  # only now: what could not be told of is begun again
-            rng = np.random.default_rng(trial.settings["seed"])
-            self.hand = self.plan.task.hand(trial.settings, rng)
+            if self.scripted:
+                task, config = self.plan.task, trial.settings
+                rng = np.random.default_rng([config["seed"], 1])  # not the noise of the robot
+                hand = task.hand(config, rng)
+                self.script, _ = scripted_commands(task, config, hand)
         return self.trial
 
     def _identify(self) -> None:
@@ -197,9 +349,9 @@ class Participant:
             try:
                 if record is None:
                     raise ValueError(fault)
-                model = identified(self.plan, attempt.session(record, fault))
+                model = identified(self.plan.content, attempt.session(record, fault))
             except ValueError:  # everybody must go on
-                model = stand_in(self.plan, "the drive cannot be read")
+                model = stand_in(self.plan.content, "the drive cannot be read")
             self.add("model", page=step.index, attempt=attempt.number, **model)
 
     def _end(self, source: str) -> None:
@@ -236,7 +388,7 @@ class Participant:
 
     def experimenter_note(self, body: dict) -> None:
         """Add a note of the experimenter's."""
-        Item("note", "", "text", required=True).check(body.get("text"))
+        Item("note", "Note", "text", required=True).check(body.get("text"))
         self.add("note", page=self.step.index, text=body["text"])
 
     def experimenter_end(self, body: dict) -> None:
@@ -270,3 +422,34 @@ class Participant:
             "pauses": 0 if trial is None else len(trial.record.pauses),
             "delay": trial.record.delays[-1] if trial and trial.record.delays else None,
         }
+
+
+SENT_AT_ONCE = 600
+
+
+def rehearse(participant: Participant, rng: np.random.Generator) -> None:
+    """
+    Go with a scripted participant from where they are to the end, as their page would, without a
+    browser.
+    """
+    while (now := participant.state())["kind"] != "end":
+        about = {"page": now["page"], "window": "rehearsal"}
+        if now["kind"] == "form":
+            items = participant.step.page.items
+            participant.answers(about | {"answers": {i.name: _answer(i, rng) for i in items}})
+            continue
+        participant.drive(about | {"begin": True})
+        while not participant.drive(about | {"commands": [None] * SENT_AT_ONCE})["done"]:
+            pass
+    participant.close()
+
+
+def _answer(item: Item, rng: np.random.Generator) -> Any:
+    """Return an answer drawn from all that are allowed: it means nothing."""
+    if item.kind == "scale":
+        return int(rng.choice(np.arange(item.low, item.high + 1, item.step)))
+    if item.kind == "choice":
+        return item.choices[rng.integers(len(item.choices))]
+    if item.kind == "check":
+        return True
+    return "words" if item.required else ""

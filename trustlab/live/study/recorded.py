@@ -3,8 +3,12 @@ What a live study has recorded so far: sessions, measures, answers, and a report
 analysis.
 """
 
+import csv
+import io
 import os
-from dataclasses import dataclass, replace
+import zipfile
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -13,22 +17,22 @@ import numpy as np
 import pandas as pd
 
 from trustlab.live.log import read_log
-from trustlab.live.study.drives import Attempt
-from trustlab.live.study.export import items_of, samples_of, write_export
 from trustlab.live.study.pages import Step, StudyPage
-from trustlab.live.study.plan import EVENTS, Plan, file_origin, read_links
-from trustlab.live.study.progress import Progress, progress_of
-from trustlab.live.task import LEAST_ROWS, LiveTask
+from trustlab.live.study.participant import Attempt, Progress, progress_of
+from trustlab.live.study.plan import EVENTS, PLAN, LiveStudy, file_origin, read_links
+from trustlab.live.task import LEAST_ROWS
 from trustlab.live.trial import Record
 from trustlab.models.display import as_html
+from trustlab.models.extras import extra
+from trustlab.models.files import write_atomically
 from trustlab.sessions.session import Session
+from trustlab.sessions.vocabulary import VOCABULARY
 from trustlab.studies.order_effects import OrderEffects, order_effects
 from trustlab.studies.questionnaires import (
     NASA_TLX,
     TRUST_CHECKLIST,
     Questionnaire,
     ScaleScores,
-    satisfaction_scale,
     score,
 )
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
@@ -45,6 +49,35 @@ FACTS = (
     "seen_late",
 )
 """Metadata of a drive that its measures begin with."""
+
+
+MEANINGS = Path(__file__).with_name("export.csv")
+"""Names, units and meanings of the columns that are no signals."""
+
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""What a spreadsheet takes for the beginning of a formula."""
+
+PACKAGE = Path(__file__).parents[2]
+NOTEBOOK = Path(__file__).with_name("report.ipynb")
+# What the page may do: show what it brings, run nothing and fetch nothing.
+POLICY = (
+    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; form-action 'none'; "
+    "base-uri 'none'"
+)
+HEAD = f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="{POLICY}">
+<title>Report of a live study</title><style>
+:root {{ color-scheme: light dark; }}
+body {{ max-width: 62rem; margin: auto; padding: 1rem; font: 1rem/1.5 sans-serif; }}
+table {{ border-collapse: collapse; font-size: .85rem; }}
+td, th {{ padding: .1rem .5rem; text-align: right; border-bottom: 1px solid #8885; }}
+.jp-OutputArea-output, .jp-RenderedMarkdown {{ overflow-x: auto; }}
+.jp-InputPrompt, .jp-OutputPrompt, .anchor-link {{ display: none; }}
+img {{ max-width: 100%; background: #fff; }} h1, h2, h3 {{ line-height: 1.2; }}
+</style></head><body><main>
+"""
 
 
 class ParticipantRecord(NamedTuple):
@@ -67,23 +100,20 @@ class RecordedDrive(NamedTuple):
     fault: str
 
 
-def participant_record(plan: Plan, code: str, link: str | None) -> ParticipantRecord:
+def participant_record(plan: LiveStudy, code: str, link: str | None) -> ParticipantRecord:
     """
     Return a participant's record: the events up to the first line that was changed. `link` is what
     was written down of the events beside the study.
     """
     path = plan.folder / code / f"{EVENTS}.jsonl"
-    if not path.exists():
-        fault = f"{path.name} is missing" if link is not None else ""
-        return ParticipantRecord([], Progress(), fault)
     reading = read_log(path, file_origin(plan.digest, code, EVENTS))
-    fault = reading.fault
-    if not fault and link is not None and link not in reading.links:
+    fault = reading.fault if link or path.exists() else ""  # else nothing has happened yet
+    if not fault and link not in (None, *reading.links):
         fault = f"{path.name}: its last lines are missing"
     return ParticipantRecord(reading.entries, progress_of(reading.entries), fault)
 
 
-def recorded_drives(plan: Plan, code: str, record: ParticipantRecord) -> list[RecordedDrive]:
+def recorded_drives(plan: LiveStudy, code: str, record: ParticipantRecord) -> list[RecordedDrive]:
     """Return every attempt at a drive that a participant's events tell of."""
     drives, steps = [], plan.steps(code)
     for event in record.events:
@@ -127,45 +157,42 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     2         P03  C1 C3           0
     3         P04  C3 C1           0
     """
-    plan = Plan.open(folder)
-    links = read_links(plan.folder)
-    records = {code: participant_record(plan, code, links.get(code)) for code in plan.present()}
-    return RecordedStudy(plan, records, tuple(plan.deleted()))
+    return RecordedStudy(LiveStudy.open(folder))
 
 
-@dataclass(frozen=True, eq=False)
 class RecordedStudy:
     """
     A live study as it stands on the disk.
 
     Parameters
     ----------
-    plan : Plan
+    plan : LiveStudy
         The frozen plan.
+
+    Attributes
+    ----------
     records : dict of str to ParticipantRecord
         What each participant's events say, by code.
-    deleted : tuple of str
+    deleted : list of str
         Codes of the participants who were deleted.
+    task : LiveTask
+        What people do.
+    origin : str
+        What kind of data these are where no person took part; else empty.
     """
 
-    plan: Plan
-    records: dict[str, ParticipantRecord]
-    deleted: tuple[str, ...]
-
-    @property
-    def task(self) -> LiveTask:
-        """What people do."""
-        return self.plan.task
-
-    @property
-    def origin(self) -> str:
-        """What kind of data these are where no person took part; else empty."""
-        return REHEARSAL if self.plan.rehearsal else ""
+    def __init__(self, plan: LiveStudy):
+        links = read_links(plan.folder)
+        self.plan, self.task, self.deleted = plan, plan.task, plan.deleted()
+        self.origin = REHEARSAL if plan.rehearsal else ""
+        self.records = {
+            code: participant_record(plan, code, links.get(code)) for code in plan.present()
+        }
 
     @cached_property
     def _drives(self) -> list[RecordedDrive]:
-        records = self.records.items()
-        return [drive for item in records for drive in recorded_drives(self.plan, *item)]
+        people = self.records.items()
+        return [drive for item in people for drive in recorded_drives(self.plan, *item)]
 
     @cached_property
     def _conditions(self) -> list[RecordedDrive]:
@@ -240,7 +267,7 @@ class RecordedStudy:
                     "ended": now.ended,
                     "withdrawn": now.withdrawn,
                     "completion": now.completion,
-                    "attention": sum(_inattentive(step, now.done[step.index]) for step in done),
+                    "attention": sum(_inattentive(step, now.answers(step.index)) for step in done),
                     "model": model.get("source", ""),
                     "why": model.get("why", ""),
                     "restarts": sum(now.attempts.values()),
@@ -249,9 +276,9 @@ class RecordedStudy:
             )
         return self._labelled(pd.DataFrame(rows))
 
-    def _labelled(self, frame: pd.DataFrame) -> pd.DataFrame:
+    def _labelled(self, frame: pd.DataFrame, group: bool = True) -> pd.DataFrame:
         """Add groups, if there are any; say where numbers come from, if not from people."""
-        if self.plan.groups and len(frame):
+        if group and self.plan.groups and len(frame):
             frame.insert(1, "group", frame["participant"].map(self.plan.groups))
         if self.origin:
             frame.attrs["origin"] = self.origin
@@ -267,19 +294,17 @@ class RecordedStudy:
             A row per answer: participant, position and condition (NaN and None for pages that
             belong to no drive), page, item, answer (NaN where it is words), text.
         """
-        rows = []
-        for code, record in self.records.items():
-            for step in self.plan.steps(code):
-                # A damaged line, which faults() names, may have lost the word.
-                answers = record.progress.done.get(step.index, {}).get("answers", {})
-                for item, answer in answers.items():
-                    value = (np.nan, answer) if isinstance(answer, str) else (answer, "")
-                    place = (code, step.position, step.condition, step.page.name)
-                    rows.append((*place, item, *value))
-        frame = pd.DataFrame(rows, columns=[*KEYS, "page", "item", "answer", "text"])
-        if self.origin:
-            frame.attrs["origin"] = self.origin
-        return frame.astype({"position": float, "answer": float})
+        rows = [
+            (code, step.position, step.condition, step.page.name, item, answer)
+            for code, record in self.records.items()
+            for step in self.plan.steps(code)
+            for item, answer in record.progress.answers(step.index).items()
+        ]
+        frame = pd.DataFrame(rows, columns=[*KEYS, "page", "item", "answer"])
+        words = frame["answer"].map(lambda answer: isinstance(answer, str)).astype(bool)
+        frame["text"] = frame["answer"].where(words, "")
+        frame["answer"] = frame["answer"].mask(words)
+        return self._labelled(frame.astype({"position": float, "answer": float}), group=False)
 
     def scores(self) -> dict[str, ScaleScores]:
         """
@@ -293,8 +318,13 @@ class RecordedStudy:
         for page in self.plan.pages:
             items = [item.name for item in page.scales]
             rows = answers[(answers["page"] == page.name) & answers["item"].isin(items)]
-            if page.scored and not rows.empty:
-                scores[page.name] = _score(page, rows)
+            if page.scored and len(rows):
+                condition = "condition" if page.section == "each" else None
+                keys = ["participant", condition] if condition else ["participant"]
+                wide = rows.pivot_table("answer", keys, "item", sort=False).reset_index()
+                wide.attrs = answers.attrs
+                form = _questionnaire(page)
+                scores[page.name] = score(wide, form, subject="participant", condition=condition)
         return scores
 
     @property
@@ -448,10 +478,22 @@ class RecordedStudy:
         ModuleNotFoundError
             If the extra ``reports`` is not installed.
         """
-        from trustlab.live.study.report import write_report
+        from trustlab.publishing.chapter import chapter
+        from trustlab.publishing.run import anonymous, execute, provenance
 
-        page = self.plan.folder / "report.html" if path is None else Path(path)
-        return write_report(self.plan.folder, list(self.records), page)
+        with extra("reports"):
+            import nbformat
+            from nbconvert import HTMLExporter
+
+        folder = self.plan.folder
+        target = folder / "report.html" if path is None else Path(path)
+        run = execute(NOTEBOOK, {}, folder)
+        origin = provenance(PACKAGE.parent, NOTEBOOK, run) | {"Data": PLAN}
+        exporter = HTMLExporter(template_name="basic", embed_images=True, exclude_input=True)
+        body, _ = exporter.from_notebook_node(nbformat.reads(chapter(run, origin), as_version=4))
+        page = f"{HEAD}{body}</main></body></html>".replace(str(folder), folder.name)
+        write_atomically(target.absolute(), anonymous(page, PACKAGE.parent))
+        return target
 
     def export(self, path: str | os.PathLike | None = None) -> Path:
         """
@@ -498,22 +540,12 @@ def _with_reason(rows: list[tuple[str, str, str]], columns: list[str]) -> pd.Dat
     return pd.DataFrame([row for row in rows if row[-1]], columns=columns)
 
 
-def _inattentive(step: Step, event: dict) -> int:
+def _inattentive(step: Step, answers: dict) -> int:
     """Return how many checks of attention on a page were answered otherwise than expected."""
-    answers = event.get("answers", {})
     return sum(
         item.expected is not None and answers.get(item.name, item.expected) != item.expected
         for item in step.page.items
     )
-
-
-def _score(page: StudyPage, answers: pd.DataFrame) -> ScaleScores:
-    """Return the scores of one questionnaire from its answers, one to a row."""
-    condition = "condition" if page.section == "each" else None
-    keys = ["participant", condition] if condition else ["participant"]
-    wide = answers.pivot_table("answer", keys, "item", sort=False).reset_index()
-    wide.attrs = answers.attrs
-    return score(wide, _questionnaire(page), subject="participant", condition=condition)
 
 
 def _questionnaire(page: StudyPage) -> Questionnaire:
@@ -524,6 +556,79 @@ def _questionnaire(page: StudyPage) -> Questionnaire:
     printed = {"trust": TRUST_CHECKLIST, "nasa_tlx": NASA_TLX}.get(page.scored)
     if printed is not None and set(names) == set(printed.items):
         return replace(printed, **scale)
-    if page.scored == "satisfaction" and scale["low"] == scale["step"] == 1:
-        return satisfaction_scale(scale["high"], names, turned)
     return Questionnaire(page.name, names, reversed=turned, **scale)
+
+
+# files
+# --------------------------------------------------------------------------------------------------
+
+
+def write_export(path: Path, tables: Mapping[str, pd.DataFrame], about: str) -> None:
+    """
+    Write tables by name, and a README with what is said about them as a whole, as a zip.
+
+    Entries carry no time of writing, so that the same study gives the same bytes. In a CSV file an
+    apostrophe stands before words that a spreadsheet would take for a formula.
+    """
+    files: dict[str, str | bytes] = {}
+    for name, table in tables.items():
+        words = table.select_dtypes(["object", "string"]).map(_harmless)
+        files[f"{name}.csv"] = table.assign(**words).to_csv(index=False)
+        files[f"{name}.parquet"] = table.to_parquet(index=False)
+    files["README.txt"] = _readme(tables, about)
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        for name, text in files.items():
+            entry = zipfile.ZipInfo(name)
+            entry.external_attr = 0o644 << 16  # else unzip makes files that nobody may read
+            archive.writestr(entry, text, zipfile.ZIP_DEFLATED)
+    write_atomically(path, content.getvalue())
+
+
+def _harmless(value: object) -> object:
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
+
+
+def _readme(tables: Mapping[str, pd.DataFrame], about: str) -> str:
+    """Return what the columns mean, with their units."""
+    with MEANINGS.open(encoding="utf-8", newline="") as file:
+        own = {name: (unit, meaning) for name, unit, meaning in csv.reader(file)}
+    lines = [about, ""]
+    for name, table in tables.items():
+        lines += [f"{name}.csv, {name}.parquet: {len(table)} rows"]
+        for column in map(str, table):
+            unit, meaning = own.get(column) or _meaning_of(column)
+            lines.append(f"  {column}{f' [{unit}]' if unit else ''}: {meaning}")
+    return "\n".join(lines) + "\n"
+
+
+def _meaning_of(column: str) -> tuple[str, str]:
+    """Return unit and meaning of a signal, or of the score of a questionnaire."""
+    if column in VOCABULARY:
+        return VOCABULARY[column].unit, VOCABULARY[column].meaning
+    page, _, kind = column.rpartition("_")
+    return "", f"{SCORES[kind]} of the questionnaire {page}" if kind in SCORES else ""
+
+
+SCORES = {"raw": "mean score", "mean": "mean score", "subscale": "score of a subscale"}
+
+
+def samples_of(sessions: list[Session]) -> pd.DataFrame:
+    """Return every sample of drives as one table."""
+    tables = {}
+    for session in sessions:
+        meta = session.metadata
+        tables[meta.participant, meta.more["position"], meta.condition] = session.data
+    names = ["participant", "position", "condition", "t"]
+    return pd.concat(tables, names=names).reset_index() if tables else pd.DataFrame()
+
+
+def items_of(pages: list[StudyPage]) -> pd.DataFrame:
+    """Return every item that people were asked, with its words."""
+    rows = []
+    for page in pages:
+        for item in page.items:
+            expected = "" if item.expected is None else str(item.expected)
+            more = {"choices": "; ".join(item.choices), "expected": expected}
+            rows.append({"page": page.name, **vars(item), **more})
+    return pd.DataFrame(rows).rename(columns={"name": "item", "text": "words"})

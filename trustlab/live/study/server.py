@@ -12,9 +12,7 @@ from __future__ import annotations
 import asyncio
 import json
 import resource
-import tempfile
 import threading
-import time
 from collections.abc import Awaitable, Container
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -22,15 +20,15 @@ from pathlib import Path
 from typing import Any, Self
 from urllib.parse import urlsplit
 
-from trustlab.live.log import Log, LogError
-from trustlab.live.study.drives import drive_of, stand_in
+from trustlab.live.log import BusyError, LogError
 from trustlab.live.study.pages import AnswerError
 from trustlab.live.study.participant import Participant, RefusedError
 from trustlab.live.study.plan import (
     EXPERIMENTER,
     JOIN,
     DeletedError,
-    Plan,
+    LiveStudy,
+    drive_of,
     is_deleted,
     read_tokens,
     tokens_path,
@@ -54,18 +52,18 @@ TYPES = {
     ".html": "text/html",
     ".svg": "image/svg+xml",
 }
-LOOPBACK = ("127.0.0.1", "::1", "localhost")
+HOME = "127.0.0.1"
+"""Only this machine is answered: a proxy on it ends TLS for others."""
+
 LARGEST_BODY = 100_000
 """Bytes of a request or message."""
 
 MOST_CONNECTIONS, MOST_OF_ADDRESS = 1000, 100
 """Connections in all, and of one address; behind a proxy all have its address."""
 
+MOST_FILES = 65_536
 WRITERS = 64
 """Requests that may wait for the disk at once: a slow one holds up its own participant alone."""
-
-SERVED = ".served"
-"""The file that a server locks, with a line for each start."""
 
 HEADER_TIME = 10.0
 """How long the head of a request may take [s]."""
@@ -87,7 +85,14 @@ HEADERS = {
 
 
 class Base(tornado.web.RequestHandler):
-    """What every request goes through: host, origin and kind are checked before anything else."""
+    """
+    What every request goes through: host, origin, kind, and whose link it is (`who`) are checked
+    before anything else. That of nobody allowed is as if the page did not exist.
+    """
+
+    def initialize(self, allowed: Container[str] | None = None, name: str = "") -> None:
+        """Keep whose links lead here, and the file of a page."""
+        self.allowed, self.name = allowed, name
 
     def set_default_headers(self) -> None:
         """Set the headers that all answers have, errors too."""
@@ -106,6 +111,10 @@ class Base(tornado.web.RequestHandler):
             raise tornado.web.HTTPError(403)
         if post and headers.get("Content-Type", "").partition(";")[0] != "application/json":
             raise tornado.web.HTTPError(415)
+        if self.allowed is not None:
+            self.who = server.holder(self.path_args[0])
+            if self.who not in self.allowed:
+                raise tornado.web.HTTPError(404)
 
     def missing(self, *_: str) -> None:
         """Answer that there is no such page."""
@@ -119,12 +128,12 @@ class Base(tornado.web.RequestHandler):
         """The server."""
         return self.settings["server"]
 
-    def holder(self, token: str, allowed: Container[str]) -> str:
-        """Return whose link this is; that of nobody allowed is as if the page did not exist."""
-        holder = self.server.holder(token)
-        if holder not in allowed:
-            raise tornado.web.HTTPError(404)
-        return holder
+    def body(self) -> dict:
+        """Return the object in JSON that was sent."""
+        try:
+            return parsed(self.request.body)
+        except ValueError:
+            raise tornado.web.HTTPError(400) from None
 
     def page(self, name: str) -> None:
         """Answer with a file of this package."""
@@ -139,9 +148,9 @@ class Base(tornado.web.RequestHandler):
         try:
             self.write(await work)
             if self.request.method == "POST":
-                self.server.saved()
+                self.server.disk_said("")
         except OSError as error:
-            self.server.not_saved(error)
+            self.server.disk_said(error.strerror or str(error))
             self.set_status(507)
             self.finish({"error": f"nothing can be saved: {self.server.disk}"})
         except AnswerError as error:
@@ -194,26 +203,16 @@ class Static(Base):
 class Frame(Base):
     """The page that a link opens, which its script fills."""
 
-    def initialize(self, name: str, allowed: Container[str]) -> None:
-        """Keep the page's file, and whose links open it."""
-        self.name, self.allowed = name, allowed
-
     def get(self, token: str) -> None:
         """Answer with the frame."""
-        self.holder(token, self.allowed)
         self.page(self.name)
 
 
-class Join(Base):
+class Join(Frame):
     """
     The link by which anybody takes the next free place: by a button, since programs that look at
     links take none; a cookie leads back to it.
     """
-
-    def prepare(self) -> None:
-        """Refuse everybody where nobody is to join."""
-        super().prepare()
-        self.holder(self.path_args[0], (JOIN,) if self.server.enrol else ())
 
     def get(self, token: str) -> None:
         """Answer with the page that asks, or lead to the place that was taken."""
@@ -221,7 +220,7 @@ class Join(Base):
         if self.server.holder(place) in self.server.plan.orders:
             self.redirect(f"/p/{place}")
         else:
-            self.page("join.html")
+            super().get(token)
 
     async def post(self, token: str) -> None:
         """Take the next free place."""
@@ -233,45 +232,34 @@ class Join(Base):
         return {"link": f"/p/{place}"}
 
 
-class Ask(Base):
-    """What the pages of participants and of the experimenter ask, and what they tell."""
+class State(Base):
+    """The page of the study where a participant is."""
 
-    def prepare(self) -> None:
-        """Find out whose link it is."""
-        super().prepare()
-        kind, token, _ = self.path_args
-        people = self.server.plan.orders if kind == "p" else (EXPERIMENTER,)
-        self.who = self.holder(token, people)
+    async def get(self, token: str) -> None:
+        """Answer with the page to show."""
+        await self.reply(self.server.ask(self.who, "state", {}))
 
-    async def get(self, kind: str, token: str, request: str) -> None:
-        """Answer with the page to show, with where everybody is, or with what was recorded."""
-        if (kind, request) == ("experimenter", "export"):
-            name = f'attachment; filename="{self.server.plan.folder.name}.zip"'
-            self.set_header("Content-Type", "application/zip")
-            self.set_header("Content-Disposition", name.encode("ascii", "replace"))
-            self.write(await asyncio.to_thread(self.server.export))
-        elif request != "state":
-            raise tornado.web.HTTPError(404)
-        elif kind == "p":
-            await self.reply(self.server.ask(self.who, "state", {}))
-        else:
-            self.write(await asyncio.to_thread(self.server.overview))
 
-    async def post(self, kind: str, token: str, request: str) -> None:
-        """Take answers or the wish to stop, or do what the experimenter wants."""
-        try:
-            body = parsed(self.request.body)
-        except ValueError:
-            raise tornado.web.HTTPError(400) from None
-        if kind == "p" and request in ("answers", "withdraw"):
-            await self.reply(self.server.ask(self.who, request, body))
-        elif kind == "experimenter" and request == "act":
-            await self.reply(self._act(body))
-        else:
-            raise tornado.web.HTTPError(404)
+class Tell(Base):
+    """What a participant tells: answers, or the wish to stop."""
+
+    async def post(self, token: str, request: str) -> None:
+        """Take it, and answer with the page to show."""
+        await self.reply(self.server.ask(self.who, request, self.body()))
+
+
+class Experimenter(Base):
+    """Where everybody is, and what the experimenter does about it."""
+
+    async def get(self, token: str) -> None:
+        """Answer with where everybody is."""
+        self.write(await asyncio.to_thread(self.server.overview))
+
+    async def post(self, token: str) -> None:
+        """Restart a drive, add a note, or end a participation; answer with where everybody is."""
+        await self.reply(self._act(self.body()))
 
     async def _act(self, body: dict) -> dict:
-        """Restart a drive, add a note, or end a participation; return where everybody is."""
         code, action = body.get("participant"), body.get("action")
         if code not in self.server.plan.present() or action not in ("restart", "note", "end"):
             raise AnswerError("there is no such participant or action")
@@ -281,12 +269,6 @@ class Ask(Base):
 
 class DriveSocket(tornado.websocket.WebSocketHandler, Base):
     """A drive: commands come, pictures go."""
-
-    def prepare(self) -> None:
-        """Refuse who has no link of a participant."""
-        super().prepare()
-        token, page = self.path_args
-        self.code, self.number = self.holder(token, self.server.plan.orders), int(page)
 
     def check_origin(self, origin: str) -> bool:
         """Whether a page may connect: `prepare` has looked."""
@@ -300,11 +282,11 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
         """Do the commands of a message, after those before it; answer with the picture."""
         words = self.server.plan.content["words"]
         try:
-            message = parsed(text) | {"page": self.number}
-            answer = await self.server.ask(self.code, "drive", message)
-            self.server.saved()
+            message = parsed(text) | {"page": int(self.path_args[1])}
+            answer = await self.server.ask(self.who, "drive", message)
+            self.server.disk_said("")
         except OSError as error:
-            self.server.not_saved(error)
+            self.server.disk_said(error.strerror or str(error))
             answer = {"trouble": words["disk"]}
         except DeletedError:
             answer = {"done": True}
@@ -319,13 +301,13 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
 class Listener(tornado.httpserver.HTTPServer):
     """A server that closes connections beyond a number, in all and of an address."""
 
-    most = most_of_address = MOST_CONNECTIONS
+    most_of_address = MOST_OF_ADDRESS
 
     def handle_stream(self, stream: Any, address: tuple) -> None:
         """Take a connection, or close it."""
         contexts: list[Any] = [connection.context for connection in self._connections]
         same = sum(context.address[:1] == address[:1] for context in contexts)
-        if len(contexts) >= self.most or same >= self.most_of_address:
+        if len(contexts) >= MOST_CONNECTIONS or same >= self.most_of_address:
             stream.close()
         else:
             super().handle_stream(stream, address)
@@ -338,25 +320,18 @@ class StudyServer:
 
     Parameters
     ----------
-    plan, address, port, url, enrol
+    plan, port, url, enrol
         As for `LiveStudy.serve`.
     """
 
     def __init__(
         self,
-        plan: Plan,
-        address: str = "127.0.0.1",
+        plan: LiveStudy,
         port: int = 0,
         *,
         url: str = "",
         enrol: bool = False,
     ):
-        if address not in LOOPBACK and not url.startswith("https://"):
-            raise ValueError(
-                f"address {address!r} can be reached from other machines, and what people type "
-                "there would travel unencrypted: serve on 127.0.0.1 behind a proxy that ends TLS, "
-                "and give its address: url='https://…'"
-            )
         if url and (not urlsplit(url).hostname or urlsplit(url).path.strip("/")):
             raise ValueError(f"url must be like https://study.example.org, got {url!r}")
         if plan.content["made_by"] != made_by():
@@ -364,8 +339,7 @@ class StudyServer:
                 f"the study was frozen with {plan.content['made_by']}, this is {made_by()}: its "
                 "drives would not compare; go on with the version it was begun with"
             )
-        self.plan = plan
-        self.address, self.url = address, url.rstrip("/")
+        self.plan, self.url = plan, url.rstrip("/")
         self.port = whole_number("port", port, 0, 65535)
         self.enrol = flag("enrol", enrol)
         files = (path for path in STATIC.iterdir() if path.suffix in TYPES)
@@ -417,34 +391,21 @@ class StudyServer:
                 return self.tokens[code]
         raise RefusedError("All places of this study are taken. Thank you for your interest.")
 
-    def export(self) -> bytes:
-        """Return everything that was recorded, as a zip."""
-        # Only here: a server that comes back after a crash needs no analysis.
-        from trustlab.live.study.recorded import read_live_study
-
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "data.zip"
-            return read_live_study(self.plan.folder).export(path).read_bytes()
-
     def mistaken(self, error: Any) -> None:
         """Note a mistake of ours; the log tells each kind once."""
         if isinstance(error[1], asyncio.CancelledError):  # the server stops, and the page is gone
             return
-        if repr(error[1]) not in self.mistakes:
+        kind = repr(error[1])
+        if kind not in self.mistakes:
             tornado.log.app_log.error("a request could not be answered", exc_info=error)
-        self.mistakes.append(repr(error[1]))
+        self.mistakes.append(kind)
 
-    def saved(self) -> None:
-        """Note that something was written again after a time when nothing could be."""
-        if self.disk:
-            self.disk = ""
-            tornado.log.app_log.error("what people do is saved again")
-
-    def not_saved(self, error: OSError) -> None:
-        """Note that nothing can be written; the log gets one line until it can."""
-        if not self.disk:
-            self.disk = error.strerror or str(error)
-            tornado.log.app_log.error("what people do cannot be saved: %s", self.disk)
+    def disk_said(self, fault: str) -> None:
+        """Note why nothing can be written, "" where it can; the log gets a line for each change."""
+        if bool(fault) != bool(self.disk):
+            said = f"cannot be saved: {fault}" if fault else "is saved again"
+            tornado.log.app_log.error("what people do %s", said)
+        self.disk = fault
 
     def overview(self) -> dict:
         """Return what the experimenter's page shows; `trouble` is of the server itself."""
@@ -477,18 +438,12 @@ class StudyServer:
     @property
     def base(self) -> str:
         """The beginning of every link."""
-        name = f"[{self.address}]" if ":" in self.address else self.address
-        return self.url or f"http://{name}:{self.port}"
+        return self.url or f"http://{HOME}:{self.port}"
 
     @property
     def hosts(self) -> set[str]:
         """The names by which a request may call this server."""
-        names = LOOPBACK if self.address in LOOPBACK else (self.address,)
-        plain = {f"[{name}]" if ":" in name else name for name in names}
-        hosts = {f"{name}:{self.port}" for name in plain}
-        if self.port == 80:  # browsers leave the usual port out
-            hosts |= plain
-        return hosts | ({urlsplit(self.url).netloc} if self.url else set())
+        return {f"{HOME}:{self.port}", f"localhost:{self.port}", urlsplit(self.base).netloc}
 
     @property
     def experimenter(self) -> str:
@@ -505,15 +460,19 @@ class StudyServer:
         tokens.
         """
         token = r"([A-Za-z0-9_-]{22})"
-        experimenter = {"name": "experimenter.html", "allowed": (EXPERIMENTER,)}
+        people: dict = {"allowed": self.plan.orders}
+        lab: dict = {"allowed": (EXPERIMENTER,)}
+        anybody: dict = {"allowed": (JOIN,) if self.enrol else ()}
         return tornado.web.Application(
             [
                 (r"/static/([a-z_]+\.[a-z]+)", Static),
-                (rf"/p/{token}", Frame, {"name": "study.html", "allowed": self.plan.orders}),
-                (rf"/p/{token}/drive/(\d{{1,4}})", DriveSocket),
-                (rf"/join/{token}", Join),
-                (rf"/experimenter/{token}", Frame, experimenter),
-                (rf"/(p|experimenter)/{token}/([a-z]+)", Ask),
+                (rf"/p/{token}", Frame, people | {"name": "study.html"}),
+                (rf"/p/{token}/state", State, people),
+                (rf"/p/{token}/(answers|withdraw)", Tell, people),
+                (rf"/p/{token}/drive/(\d{{1,4}})", DriveSocket, people),
+                (rf"/join/{token}", Join, anybody | {"name": "join.html"}),
+                (rf"/experimenter/{token}", Frame, lab | {"name": "experimenter.html"}),
+                (rf"/experimenter/{token}/(?:state|act)", Experimenter, lab),
             ],
             default_handler_class=Base,
             log_function=lambda handler: None,
@@ -530,8 +489,7 @@ class StudyServer:
             idle_connection_timeout=HEADER_TIME,
             body_timeout=30.0,
         )
-        listener.most = min(MOST_CONNECTIONS, max(self.free_handles, 10))
-        listener.most_of_address = listener.most if self.url else MOST_OF_ADDRESS
+        listener.most_of_address = MOST_CONNECTIONS if self.url else MOST_OF_ADDRESS
         listener.add_sockets(sockets)
         self.loop, self.ending = asyncio.get_running_loop(), asyncio.Event()
         self.loop.set_default_executor(ThreadPoolExecutor(WRITERS))
@@ -542,14 +500,15 @@ class StudyServer:
 
     def __enter__(self) -> Self:
         """Begin to serve; one server per study."""
-        try:
-            with ExitStack() as files:
-                sockets = self._opened(files)
-                self.held = files.pop_all()
-        except (OSError, UnicodeError) as error:
-            raise ValueError(
-                f"{self.plan.folder} cannot be served on {self.address}, port {self.port}: {error}"
-            ) from error
+        with ExitStack() as files:
+            self._open(files)
+            try:
+                sockets = tornado.netutil.bind_sockets(self.port, HOME)
+            except OSError as error:
+                raise ValueError(
+                    f"{self.plan.folder} cannot be served on port {self.port}: {error}"
+                ) from error
+            self.held = files.pop_all()
         self.port = sockets[0].getsockname()[1]
         self.thread = threading.Thread(
             target=asyncio.run, args=(self._serve(sockets),), name="live study", daemon=True
@@ -560,36 +519,26 @@ class StudyServer:
             raise ValueError("the server did not start within 10 s; a traceback says why")
         return self
 
-    def _opened(self, files: ExitStack) -> list[Any]:
-        """Open all that is served, refuse what cannot be, and return sockets that listen."""
-        folder = self.plan.folder
-        try:
-            self.log = Log(folder / SERVED)
-        except LogError:
-            raise ValueError(
-                f"{folder} is being served already, by another process or notebook"
-            ) from None
-        files.callback(self.log.close)
-        self.log.append([{"at": time.time(), **made_by()}])
-        training = drive_of(self.plan.content, "training", stand_in(self.plan, ""), seed=0)
-        prepare(self.plan.task, training)
+    def _open(self, files: ExitStack) -> None:
+        """Open all that is served, and refuse what cannot be."""
         self.holder("")
-        # Everybody has two logs, and the process some files of its own.
-        own = 2 * len(self.plan.orders) + 50
+        # Everybody has two logs and some connections: more files than a process usually may have.
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-        most = own + MOST_CONNECTIONS
-        soft = max(soft, most if hard == resource.RLIM_INFINITY else min(most, hard))
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        self.free_handles = soft - own
+        most = MOST_FILES if hard == resource.RLIM_INFINITY else min(MOST_FILES, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, most), hard))
         for code in self.plan.present():
             try:
                 self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)
+            except BusyError:
+                raise ValueError(
+                    f"{self.plan.folder} is being served already, by another process or notebook"
+                ) from None
             except LogError as error:  # the others go on
                 self.damaged[code] = str(error)
                 tornado.log.app_log.error("%s", error)
             else:
                 files.callback(self.participants[code].close)
-        return tornado.netutil.bind_sockets(self.port, self.address)
+        prepare(self.plan.task, drive_of(self.plan.content, "training"))
 
     def wait(self) -> None:
         """Return when interrupted."""

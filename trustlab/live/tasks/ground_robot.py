@@ -3,24 +3,53 @@
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from trustlab.allocation.limits import check_thresholds
-from trustlab.live.condition import LiveCondition
+from trustlab.live.condition import SCORE, SIGNALS, LiveCondition
 from trustlab.live.hands import HumanHand
-from trustlab.live.task import MOST_DELAY, LiveTask
-from trustlab.live.tick import SCORE, SIGNALS, STATE, Switching, World, begin_drive, tick
-from trustlab.models.checks import between, of_class, positive, shown, warn, whole_number
-from trustlab.models.tsc import HumanModel, RobotModel, TscModel
+from trustlab.live.task import Delay, LiveTask, run_config
+from trustlab.models.checks import Checked, Positive, positive, shown, warn, whole_number
+from trustlab.models.compiled import njit
+from trustlab.models.tsc import (
+    HumanModel,
+    RobotModel,
+    TscModel,
+    next_utilization,
+    threshold_mode,
+)
 from trustlab.sessions.session import Session
 from trustlab.testbeds.condition_run import condition_measures
-from trustlab.testbeds.deciding import CONDITIONS, OWN, SAMPLE_TIME, SCHEDULE, SETTLING, TSC, Task
+from trustlab.testbeds.deciding import (
+    CONDITIONS,
+    OWN,
+    SAMPLE_TIME,
+    SCHEDULE,
+    SETTLING,
+    TSC,
+    Task,
+    suggest,
+)
+from trustlab.testbeds.ground_robot import kernel
 from trustlab.testbeds.ground_robot.conditions import E_MAX, SLOWEST
-from trustlab.testbeds.ground_robot.course import Course, course_numbers, default_course
-from trustlab.testbeds.ground_robot.kernel import COLUMNS, LOG
+from trustlab.testbeds.ground_robot.course import (
+    Course,
+    CourseNumbers,
+    course_numbers,
+    default_course,
+)
+from trustlab.testbeds.ground_robot.kernel import (
+    COLUMNS,
+    LOG,
+    enter,
+    locate,
+    perform,
+    place,
+    roll,
+)
 from trustlab.testbeds.ground_robot.pioneer import Pioneer, PioneerNumbers
 from trustlab.testbeds.populations import printed_person
 
@@ -39,11 +68,11 @@ calibrated 0.7 m/s makes too easy: a hand that sees everything reached 0.67 ther
 best that (2.4) allows is just above the best person printed.
 """
 
-VIEW = {"range": 4.0, "field": 1.9, "delay": 0.2, "height": 0.6, "map": False}
+VIEW = {"range": 4.0, "field": 1.9, "delay": 0.2, "height": 0.6}
 """
 What is seen of the course, from the robot: posts as far as the scanner sees them [m], within a
 camera's field of view [rad], 0.2 s late, which is an everyday video link, from 0.6 m above the
-ground. The map is for experimenters.
+ground.
 """
 
 RAMP = {"rise": 2.5, "fall": 6.0}
@@ -52,12 +81,8 @@ Keys move a lever and throw no switch: its speed towards full deflection and bac
 [1/s].
 """
 
-MOST_SAMPLES = 36_000
-"""An hour: the longest live drive."""
-
-PILOT_A = 0.9991
-"""a of (2.5) where there is no model of the person: that of the pilot operator."""
-
+LONGEST = 3600.0
+"""The longest live drive [s]."""
 
 IDENTIFICATION = ((1, 200.0), (0, 200.0), (1, 150.0), (0, 150.0), (1, 150.0), (0, 150.0))
 """
@@ -72,8 +97,15 @@ little.
 """
 
 
+STATE = np.dtype([*kernel.STATE.descr, ("since", float)])
+"""
+The robot and who drives, and since when a forced suggestion stands that is not carried out yet [s];
+−1 for none.
+"""
+
+
 @dataclass(frozen=True)
-class DriveSettings:
+class DriveSettings(Checked):
     """
     The drives of a live study: their length, the course, the robot, and the stand-in model.
 
@@ -116,15 +148,17 @@ class DriveSettings:
     """
 
     laps: int = 8
-    training: float = 120.0
+    training: Positive = 120.0
     identification: Sequence[tuple[int, float]] = IDENTIFICATION
     model: TscModel | None = None
     thresholds: tuple[float, float] | None = None
     course: Course | None = None
     robot: Pioneer | None = None
-    least_delay: float = 0.0
+    least_delay: Delay = 0.0
 
     def __post_init__(self):
+        super().__post_init__()
+        whole_number("laps", self.laps, most=1000)
         if (self.model is None) != (self.thresholds is None):
             raise ValueError("model and thresholds belong together; give both or neither")
         self.as_json()
@@ -132,17 +166,16 @@ class DriveSettings:
     def as_json(self) -> dict:
         """Return the settings as plain values for `study.json`."""
         _, model, pair = printed_person(STAND_IN)
-        model, pair = self.model or model, self.thresholds or pair
-        of_class("model", model, TscModel)
-        pair = check_thresholds(model, pair)
+        model = self.model or model
+        pair = check_thresholds(model, self.thresholds or pair)
         return {
-            "laps": whole_number("laps", self.laps, most=1000),
-            "training": positive("training", self.training),
-            "least_delay": between("least_delay", self.least_delay, 0.0, MOST_DELAY),
+            "laps": self.laps,
+            "training": self.training,
+            "least_delay": self.least_delay,
             "identification": _schedule(self.identification),
             "stand_in": {"model": asdict(model), "thresholds": pair},
-            "course": _fields("course", self.course, Course),
-            "robot": _fields("robot", self.robot, Pioneer),
+            "course": _fields(self.course),
+            "robot": _fields(self.robot),
         }
 
 
@@ -151,12 +184,10 @@ def model_of(content: dict) -> TscModel:
     return TscModel(RobotModel(**content["robot"]), HumanModel(**content["human"]))
 
 
-def _fields(name: str, part: Any, kind: type) -> dict | None:
+def _fields(part: Any) -> dict | None:
     """Return what a course or a robot was made from; None for the usual one."""
-    if part is None:
-        return None
-    of_class(name, part, kind)
-    return {field: value for field, value in asdict(part).items() if not field.startswith("_")}
+    fields = asdict(part) if part else {}
+    return {name: value for name, value in fields.items() if not name.startswith("_")} or None
 
 
 def _schedule(phases: Any) -> list[list[float]]:
@@ -176,91 +207,60 @@ def _schedule(phases: Any) -> list[list[float]]:
     return checked
 
 
-def drive_config(
-    condition: str | LiveCondition,
-    model: TscModel | None = None,
-    thresholds: tuple[float, float] = (0.0, 0.0),
-    laps: int = 0,
-    seed: int = 0,
-    seconds: float = 0.0,
-    schedule: Sequence[tuple[int, float]] = (),
-    robot: Pioneer | None = None,
-    course: Course | None = None,
-    show_map: bool = False,
-) -> dict:
+def drive_config(content: dict, condition: str, seed: int, known: dict | None = None) -> dict:
     """
-    Return everything that determines a live drive but the commands, as plain JSON.
+    Return the settings of a drive: under C1 to C5 or a condition of the study's own; "training", in
+    which the person switches at will; or "identification", in which modes are scheduled.
 
-    Parameters
-    ----------
-    condition : str or LiveCondition
-        "C1" to "C5", "training" (the person switches at will), "identification" (modes by
-        `schedule`), or one of your own.
-    model : TscModel, optional
-        What TSC (2.1) and suggestions come from, and a of (2.5); without one TSC is 0 and a that of
-        the pilot operator.
-    thresholds : (float, float)
-        TSC_l and TSC_u of (2.8), where TSC decides on suggestions.
-    laps, seconds, schedule : int, float, sequence of (int, float)
-        When the drive ends: after so many laps, so many seconds, or the last of the phases (mode,
-        length [s]).
-    seed : int
-        Of the robot's sensing; below 2⁵³.
-    robot : Pioneer, optional
-        The robot; not faster than 0.5 m/s when not given.
-    course : Course, optional
-        The course, if not the default one.
-    show_map : bool
-        Whether a map shows where the robot is.
+    TSC (2.1), suggestions and a of (2.5) come from the known model, or else from the stand-in.
     """
-    robot = robot or Pioneer(max_speed=LIVE_SPEED)
-    course = course or default_course()
-    if isinstance(condition, LiveCondition):
-        own, name = condition, condition.name
-        scheme, forced = own.scheme, own.forced
-        thresholds = own.thresholds or thresholds
-    else:
-        own, name = LiveCondition("unnamed"), condition
-        scheme, forced = DRIVES[name]
-    if schedule:
+    known = known or content["stand_in"]
+    model, (lower, upper) = model_of(known["model"]), known["thresholds"]
+    robot = Pioneer(**content["robot"] or {"max_speed": LIVE_SPEED})
+    course = Course(**content["course"]) if content["course"] else default_course()
+    schedule, laps, settling = [], 0, 0.0
+    if condition == "training":
+        seconds = content["training"]
+    elif condition == "identification":
+        schedule = content["identification"]
         seconds = sum(length for _, length in schedule)
-    longest = seconds or laps * course.length / SLOWEST
-    samples = round(longest / SAMPLE_TIME)
-    if not 2 <= samples <= MOST_SAMPLES:
+    else:
+        laps, settling = content["laps"], SETTLING
+        seconds = laps * course.length / SLOWEST
+    if not 0.2 <= seconds <= LONGEST:
         raise ValueError(
-            f"a live drive lasts from 0.2 s to {MOST_SAMPLES * SAMPLE_TIME:g} s, got up to "
-            f"{longest:g} s; split it"
+            f"a live drive lasts from 0.2 s to {LONGEST:g} s, got up to {seconds:g} s; split it"
         )
+    own = content.get("own_conditions", {}).get(condition)
+    rule = LiveCondition(**own) if own else LiveCondition("unnamed")
+    scheme, forced = (rule.scheme, rule.forced) if own else DRIVES[condition]
+    lower, upper = rule.thresholds or (lower, upper)
     first = int(schedule[0][0]) if schedule else 1
-    lower, upper = map(float, thresholds)
-    task = Task(scheme, E_MAX, forced, laps, lower, upper, first)
-    settling = SETTLING if condition not in ("training", "identification") else 0.0
-    notice = float(own.notice)
-    switching = Switching(settling, notice, model.human.a if model else PILOT_A, **own.weights)
-    return {
-        "live_task": "ground_robot",
-        "condition": name,
-        "columns": [*COLUMNS, "laps"],
-        "commands": ["v_command", "w_command", "mode"],
-        "limits": {
+    task = Task(scheme, E_MAX, forced, laps, float(lower), float(upper), first).suggesting(model)
+    switching = Switching(settling, float(rule.notice), model.human.a, **rule.weights)
+    return run_config(
+        "ground_robot",
+        condition,
+        seed,
+        SAMPLE_TIME,
+        seconds,
+        {
             "v_command": [0.0, robot.max_speed],
             "w_command": [-robot.max_turn_rate, robot.max_turn_rate],
             "mode": [0, 1],
         },
-        "sample_time": SAMPLE_TIME,
-        "samples": samples,
-        "seed": seed,
-        "schedule": schedule or None,
-        "task": (task if model is None else task.suggesting(model))._asdict(),
-        "switching": switching._asdict(),
-        "robot": robot.numbers._asdict(),
-        "path": course.path.tolist(),
-        "posts": course.posts.tolist(),
-        "ramp": RAMP,
-        "view": VIEW | {"map": show_map},
-        "late": VIEW["delay"],
-        "clock": "real",
-    }
+        [*COLUMNS, "laps"],
+        VIEW["delay"],
+        facts=_facts(task, switching),
+        schedule=schedule or None,
+        task=task._asdict(),
+        switching=switching._asdict(),
+        robot=robot.numbers._asdict(),
+        path=course.path.tolist(),
+        posts=course.posts.tolist(),
+        ramp=RAMP,
+        view=VIEW,
+    )
 
 
 def warn_if_too_short(config: dict) -> None:
@@ -273,6 +273,99 @@ def warn_if_too_short(config: dict) -> None:
             f"performance fills, and laps={laps} can take {laps * lap:.0f} s: "
             f"conditions would hardly differ; take laps={int(SETTLING // lap) + 1} or more"
         )
+
+
+# a tenth of a second: the testbed's own steps, the hand's command in place of the operator
+# --------------------------------------------------------------------------------------------------
+
+
+class Switching(NamedTuple):
+    """
+    What only live drives need: the time before which nobody switches and that between a forced
+    suggestion and its being carried out [s], a of (2.5), and the weights of a rule of one's own.
+    """
+
+    settling: float
+    notice: float
+    a: float
+    tsc: float
+    p_r: float
+    p_h: float
+    r: float
+
+
+class World(NamedTuple):
+    """
+    What a drive takes place in: the task, a `Pioneer` and the share by which its estimate is
+    anchored in one sample while the person drives; and room for the performance of each sample.
+    """
+
+    task: Task
+    switching: Switching
+    robot: Any
+    anchor: float
+    course: CourseNumbers
+    z_r: np.ndarray
+    z_h: np.ndarray
+
+
+@njit
+def begin_drive(world, state):
+    """Put a robot on the course, rolling, the person rested and the mode the first one."""
+    task = world.task
+    place(world.course, world.robot, task.sample_time, state)
+    state.r = task.r0
+    state.mode = task.first_mode
+    state.suggested = -1
+    state.lower = task.lower
+    state.upper = task.upper
+    state.since = -1.0
+
+
+@njit
+def decide(task, switching, t, mode, state):
+    """
+    Make the suggestion of the scheme; the mode that the person wants decides, or a forced
+    suggestion, a notice later or as soon as accepted.
+    """
+    if t < switching.settling:
+        return
+    if task.scheme == SCORE:
+        score = switching.tsc * state.tsc + switching.p_r * state.p_r + switching.p_h * state.p_h
+        score += switching.r * state.r
+        standing = state.mode if state.suggested < 0 else state.suggested
+        state.suggested = threshold_mode(score, state.lower, state.upper, standing)
+    elif task.scheme != OWN and task.scheme != SCHEDULE:
+        suggest(task, state)
+    if not task.forced:
+        state.mode = 1 if mode == 1.0 else 0
+    elif state.suggested < 0 or state.suggested == state.mode:
+        state.since = -1.0
+    else:
+        state.since = t if state.since < 0.0 else state.since
+        if mode == state.suggested or t - state.since >= switching.notice:
+            state.mode, state.since = state.suggested, -1.0
+
+
+@njit
+def tick(k, v, w, mode, world, sensing, state, row):
+    """
+    Fill the row of sample k under what the person wants, a speed [m/s], a turn rate [rad/s] and a
+    mode, then move, with a generator of the noise of sensing; return whether all laps are done.
+    """
+    # A generator within the world would make every call 0.1 ms longer: its type is found in Python.
+    task, robot = world.task, world.robot
+    locate(world.course, k, row, state)
+    state.v_hand = min(max(v, 0.0), robot.max_speed)
+    state.w_hand = min(max(w, -robot.max_turn_rate), robot.max_turn_rate)
+    perform(task, k, world.z_r, world.z_h, row, state)
+    decide(task, world.switching, k * task.sample_time, mode, state)
+    enter(row, state)
+    if 0 < task.laps <= state.laps:
+        return True
+    roll(robot, world.anchor, task.sample_time, world.course, state, sensing)
+    state.r = min(max(next_utilization(state.r, state.mode, world.switching.a), 0.0), 1.0)  # (2.5)
+    return False
 
 
 class Drive:
@@ -320,45 +413,28 @@ class Drive:
         return {**pose, "laps": int(state["laps"]), "row": row}
 
 
-def study_config(content: dict, condition: str, known: dict, seed: int) -> dict:
-    """Return the settings of a drive of a study."""
-    length: dict = {"laps": content["laps"]}
-    if condition == "training":
-        length = {"seconds": content["training"]}
-    elif condition == "identification":
-        length = {"schedule": content["identification"]}
-    own = content["own_conditions"].get(condition)
-    return drive_config(
-        LiveCondition(**own) if own else condition,
-        model_of(known["model"]),
-        known["thresholds"],
-        seed=seed,
-        robot=content["robot"] and Pioneer(**content["robot"]),
-        course=content["course"] and Course(**content["course"]),
-        **length,
-    )
-
-
-def drive_facts(config: dict, table: pd.DataFrame) -> dict:
-    """Return what metadata say of a drive; laps are no signal of the session."""
-    task = config["task"]
-    switching = config.get("switching", task)  # logs of before these were split hold one mapping
-    laps = table.pop("laps")
-    facts = {
-        "settling": switching["settling"],
-        "performance_window": task["window"] * SAMPLE_TIME,
+def _facts(task: Task, switching: Switching) -> dict:
+    """Return what metadata say of a drive by its settings."""
+    facts: dict = {
+        "settling": switching.settling,
+        "performance_window": task.window * SAMPLE_TIME,
         "stamp_error": 0.0,  # the drive switches on a sample
-        "lap_times": (SAMPLE_TIME * (np.flatnonzero(np.diff(laps) > 0.0) + 1)).tolist(),
     }
-    if task["laps"]:
-        facts["laps"] = task["laps"]
-    if task["scheme"] == TSC:
-        facts |= {"TSC_l": task["lower"], "TSC_u": task["upper"]}
-    if task["scheme"] == SCORE:
-        weights = {signal: switching[signal] for signal in SIGNALS}
+    if task.laps:
+        facts["laps"] = task.laps
+    if task.scheme == TSC:
+        facts |= {"TSC_l": task.lower, "TSC_u": task.upper}
+    if task.scheme == SCORE:
+        weights = {signal: getattr(switching, signal) for signal in SIGNALS}
         facts["rule"] = {signal: weight for signal, weight in weights.items() if weight}
-        facts["rule_thresholds"] = [task["lower"], task["upper"]]
+        facts["rule_thresholds"] = [task.lower, task.upper]
     return facts
+
+
+def lap_times(table: pd.DataFrame) -> dict:
+    """Return when each lap was over; how many are done is no signal of the session."""
+    ends = np.flatnonzero(np.diff(table.pop("laps")) > 0.0) + 1
+    return {"lap_times": (SAMPLE_TIME * ends).tolist()}
 
 
 def drive_measures(session: Session) -> dict[str, float]:
@@ -374,10 +450,10 @@ TASK = LiveTask(
     practice=("training", "identification"),
     reported=("p_r", "p_h", "r", "path_error", "manual_share", "switches", "lap_time"),
     settings=DriveSettings,
-    config=study_config,
+    config=drive_config,
     begin=Drive,
-    hand=lambda config, rng: HumanHand(config, int(rng.integers(2**32))),
+    hand=HumanHand,
     measures=drive_measures,
-    facts=drive_facts,
+    facts=lap_times,
     decisions=("mode", "suggested_mode", "laps"),
 )

@@ -1,8 +1,12 @@
 """A team as a live task: one person leads it to goals through whichever robot leads."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Annotated
 
 import numpy as np
+import pandas as pd
 
 from trustlab.live.hands import ScriptedLeader
 from trustlab.live.task import (
@@ -13,9 +17,9 @@ from trustlab.live.task import (
     hand_config,
     trust_of,
 )
-from trustlab.models.checks import between, positive, whole_number
+from trustlab.models.checks import Positive, whole_number
 from trustlab.sessions.session import Session
-from trustlab.teleoperation.team.decisions import POLICIES, TeamSituation
+from trustlab.teleoperation.team.decisions import POLICIES, LeaderPolicy, TeamSituation
 from trustlab.teleoperation.team.settings import (
     TeamOperator,
     TeamRobot,
@@ -103,15 +107,13 @@ class LeadingSettings(HandSettings):
 
     robots: int = 4
     goals: int = 3
-    min_dwell: float = 5.0
-    tolerance: float = 0.4
+    min_dwell: Annotated[float, (1.0, 60.0)] = 5.0
+    tolerance: Positive = 0.4
 
     def __post_init__(self):
+        super().__post_init__()
         whole_number("robots", self.robots, least=3, most=6)
         whole_number("goals", self.goals, most=20)
-        between("min_dwell", self.min_dwell, 1.0, 60.0)
-        positive("tolerance", self.tolerance)
-        super().__post_init__()
 
 
 def ring(count: int) -> np.ndarray:
@@ -134,8 +136,8 @@ class PersonLeads:
 
     title = "a person"
 
-    def __init__(self, condition: str):
-        self.condition = condition
+    def __init__(self, condition: str, policy: LeaderPolicy | None = None):
+        self.condition, self.policy = condition, policy
         self.wish = 0
         self.picks = dict.fromkeys(ADVISERS, 1)
         self.free = False
@@ -146,6 +148,8 @@ class PersonLeads:
         self.picks = {name: policy.leader(now) + 1 for name, policy in ADVISERS.items()}
         self.free = now.free
         self.left = max(now.dwell - (now.t - now.since), 0.0)
+        if self.policy is not None:
+            return self.policy.leader(now)
         if self.condition in ADVISERS:
             return self.picks[self.condition] - 1
         return self.wish - 1 if self.wish else now.leader or 0
@@ -159,11 +163,11 @@ class PersonLeads:
 class LeadingRun:
     """A team, stepped by the place of a hand in its square and the robot that is to lead."""
 
-    def __init__(self, config: dict):
+    def __init__(self, config: dict, policy: LeaderPolicy | None = None):
         robots = tuple(TeamRobot(**robot) for robot in config["robots"])
         settings = TeamSettings(robots=robots, min_dwell=config["min_dwell"], **config["gains"])
         self.config, self.goals = config, config["goals"]
-        self.policy = PersonLeads(config["condition"])
+        self.policy = PersonLeads(config["condition"], policy)
         self.loop = TeamLoop(
             ring(len(robots)),
             self.policy,
@@ -226,7 +230,7 @@ class LeadingRun:
         }
 
 
-def team_config(content: dict, condition: str, known: dict, seed: int) -> dict:
+def team_config(content: dict, condition: str, seed: int, known: dict | None = None) -> dict:
     """Return the settings of a run; start, goals and abilities are drawn from its seed."""
     rng = np.random.default_rng(seed)
     count = content["robots"]
@@ -238,13 +242,14 @@ def team_config(content: dict, condition: str, known: dict, seed: int) -> dict:
         content,
         condition,
         seed,
-        ("leader_choice", 0, count),
+        [0, count],
         chooses=condition in ("training", BY_HAND, SUGGESTED),
         start=start.tolist(),
         goals=_goals(content["goals"], rng),
         robots=[asdict(robot) for robot in abilities],
         gains=gains_of(count),
         min_dwell=content["min_dwell"],
+        facts={"min_dwell": content["min_dwell"]},
         tolerance=content["tolerance"],
         field=FIELD + START,
         columns=[*COLUMNS, *(f"trust_{i}" for i in range(1, count + 1))],
@@ -292,6 +297,123 @@ TASK = LiveTask(
     begin=LeadingRun,
     hand=ScriptedLeader,
     measures=team_measures,
-    facts=lambda config, table: {"min_dwell": config["min_dwell"]},
     decisions=COLUMNS[-6:],
 )
+
+
+def task_of(policy: LeaderPolicy) -> LiveTask:
+    """Return the task with a leader policy of your own in the person's place."""
+    return replace(TASK, begin=partial(LeadingRun, policy=policy))
+
+
+# how often people choose the leader that a policy would pick, beyond chance
+# --------------------------------------------------------------------------------------------------
+
+
+def occasions(session: Session, dwell: float) -> pd.DataFrame:
+    """
+    Return the occasions on which a person might have changed the leader of a team.
+
+    The first begins when the leader has led for the dwell time. Each lasts until the person lets
+    another robot lead, at most for another dwell time; the next begins when a switch is possible
+    again.
+
+    Parameters
+    ----------
+    session : Session
+        A run of a team.
+    dwell : float
+        τ_min [s].
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row per occasion: t, when it begins [s]; most_trusted and hysteresis, whom the policies
+        would pick then; chosen, who leads at its end.
+    """
+    leader = session["leader"].astype(int)
+    length = round(dwell / session.sample_time)
+    rows = []
+    end = 0
+    for k in np.flatnonzero(session["may_switch"] > 0):
+        if k < end:
+            continue
+        ahead = leader[k : k + length + 1]
+        switched = np.flatnonzero(ahead != leader[k])
+        if len(ahead) <= length and not switched.size:
+            break  # the run ended before the person had the time
+        end = int(k + (switched[0] if switched.size else length))
+        picks = (int(session[f"leader_{name}"][k]) for name in ADVISERS)
+        rows.append((session.t[k], *picks, leader[end]))
+    return pd.DataFrame(rows, columns=["t", *ADVISERS, "chosen"])
+
+
+DRAWS, ENDS = 2000, (2.5, 97.5)
+"""Resamples of participants for an interval of κ, and its percentiles."""
+
+
+def policy_agreement(sessions: Iterable[Session], seed: int = 0) -> pd.DataFrame:
+    """
+    Return how often people's choice of the leader agrees with each policy, beyond chance.
+
+    κ = (agreement − chance)/(1 − chance). Chance is what choices and picks of the same run would
+    share if they were independent, Cohen (1960), with each run's own frequencies: somebody who
+    keeps one robot agrees with a policy that keeps it too by chance only.
+
+    Parameters
+    ----------
+    sessions : iterable of Session
+        Runs of a team in which a person chose by hand; others are left out.
+    seed : int
+        Of the resamples of participants, for the interval.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Index policy; participants, occasions, agreement (share of occasions), chance, kappa, low
+        and high: of the 95 % interval by participants drawn with replacement, NaN for fewer than
+        two.
+
+    Raises
+    ------
+    ValueError
+        If there is no occasion to choose.
+    """
+    people: dict[str, np.ndarray] = {}
+    for session in sessions:
+        about = session.metadata
+        if about.condition == BY_HAND:
+            table = occasions(session, about.more["min_dwell"])
+            sums = people.setdefault(str(about.participant), np.zeros((len(ADVISERS), 3)))
+            sums += [_sums(table, name) for name in ADVISERS]
+    total = sum(people.values(), np.zeros((len(ADVISERS), 3)))
+    if not total.any():
+        raise ValueError(f"nobody had an occasion to choose; runs in {BY_HAND!r} are needed")
+    rng = np.random.default_rng(seed)
+    drawn = rng.integers(len(people), size=(DRAWS, len(people)))
+    low = high = np.nan
+    if len(people) > 1:
+        kappas = _kappa(np.array(list(people.values()))[drawn].sum(axis=1))
+        low, high = np.nanpercentile(kappas, ENDS, axis=0)
+    count, agreed, chance = total.T
+    columns = {"participants": len(people), "occasions": count.astype(int)}
+    columns |= {"agreement": agreed / count, "chance": chance / count, "kappa": _kappa(total)}
+    index = pd.Index(ADVISERS, name="policy")
+    return pd.DataFrame(columns | {"low": low, "high": high}, index)
+
+
+def _sums(table: pd.DataFrame, policy: str) -> tuple[float, float, float]:
+    """Return occasions of a run, agreements, and those expected by chance."""
+    if table.empty:
+        return 0.0, 0.0, 0.0
+    chosen, picked = table["chosen"], table[policy]
+    shares = chosen.value_counts(normalize=True)
+    expected = shares.mul(picked.value_counts(), fill_value=0.0).sum()
+    return len(table), (chosen == picked).sum(), expected
+
+
+def _kappa(sums: np.ndarray) -> np.ndarray:
+    """Return κ of occasions, agreements and expected agreements; NaN where chance is certain."""
+    count, agreed, expected = np.moveaxis(sums, -1, 0)
+    room = np.where(count - expected > 1e-9, count - expected, np.nan)
+    return (agreed - expected) / room

@@ -157,7 +157,11 @@ class LiveFlight:
 
 
 def flight_config(
-    content: dict, condition: str, known: dict, seed: int, task: TrackingTask | None = None
+    content: dict,
+    condition: str,
+    seed: int,
+    known: dict | None = None,
+    task: TrackingTask | None = None,
 ) -> dict:
     """Return the settings of a flight after the study's target, or one of your own."""
     allocates = condition == "MMI"
@@ -167,13 +171,13 @@ def flight_config(
         content,
         condition,
         seed,
-        ("alpha_choice", *((0.0, 1.0) if allocates else (-1.0, -1.0))),
+        [0.0, 1.0] if allocates else [-1.0, -1.0],
         scheme="M" if condition == "training" else condition,
         allocates=allocates,
         study=content["study"],
         guidance=content["guidance"],
         half=task.view if task.view < UNBOUNDED else task.size_x,
-        columns=list(COLUMNS),
+        columns=COLUMNS,
         late=task.camera_delay,
     )
 
