@@ -36,17 +36,11 @@ class CourseNumbers(NamedTuple):
     """
     A `Course` for compiled loops: points of the path, shape (N,), the last the first again, with
     their arc lengths, and the posts. Points of the plane are complex numbers.
-
-    pieces: of the pieces of two laps, x and y where they begin, their ways along x and y, one over
-    their squared lengths, and the arc lengths where they begin, each of shape (2 (N − 1),).
-    squares: room for as many numbers, to work in.
     """
 
     points: np.ndarray
     arcs: np.ndarray
     posts: np.ndarray
-    pieces: tuple[np.ndarray, ...]
-    squares: np.ndarray
 
 
 @inner
@@ -80,44 +74,39 @@ def piece_at(s, arcs):
     return low
 
 
-@inner(_nrt=False, error_model="numpy", forceinline=True)
-def foot_on(piece, place, pieces):
-    """
-    Return the share of a piece at which it is nearest to a place, and the way from there along x
-    and y.
-    """
-    x, y, way_x, way_y, inverse, _ = pieces
-    off_x, off_y = place.real - x[piece], place.imag - y[piece]
-    along = off_x * way_x[piece] + off_y * way_y[piece]
-    share = min(max(along * inverse[piece], 0.0), 1.0)
-    return share, off_x - share * way_x[piece], off_y - share * way_y[piece]
-
-
-@njit(_nrt=False, error_model="numpy")
+@njit(_nrt=False)
 def nearest_point(place, near, course):
     """
     Return the point of the path nearest to a place, its arc length and its distance.
 
     Pieces are tried that begin or end within SEARCH of arc length `near`.
     """
-    squares, inverse, begins = course.squares, course.pieces[4], course.pieces[5]
-    length = course.arcs[course.arcs.size - 1]
+    points, arcs = course.points, course.arcs
+    last = arcs.size - 1
+    length = arcs[last]
     reach = min(SEARCH, 0.5 * length)
     start = near - reach - np.floor((near - reach) / length) * length
-    first = piece_at(start, course.arcs)
-    end = first
-    while begins[end] <= start + 2.0 * reach:
-        end += 1
-    for i in range(end - first):  # no branch here: several pieces are tried at once
-        _, off_x, off_y = foot_on(first + i, place, course.pieces)
-        squares[i] = off_x * off_x + off_y * off_y
-    best = 0
-    for i in range(1, end - first):
-        if squares[i] < squares[best]:
-            best = i
-    share, off_x, off_y = foot_on(first + best, place, course.pieces)
-    arc = begins[first + best] + share / np.sqrt(inverse[first + best])
-    return place - complex(off_x, off_y), arc, np.sqrt(squares[best])
+    i = piece_at(start, arcs)
+    ahead = 2.0 * reach + start
+    best = np.inf
+    point, arc = points[i], start
+    while arcs[i] <= ahead:
+        way, off = points[i + 1] - points[i], place - points[i]
+        piece = arcs[i + 1] - arcs[i]
+        along, whole = off.real * way.real + off.imag * way.imag, piece * piece
+        share = 0.0 if along <= 0.0 else 1.0
+        if 0.0 < along < whole:  # few pieces need the division
+            share = along / whole
+        foot = points[i] + share * way
+        off = place - foot
+        square = off.real**2 + off.imag**2
+        if square < best:
+            best, point, arc = square, foot, arcs[i] + share * piece
+        i += 1
+        if i == last:
+            i = 0
+            ahead -= length
+    return point, arc, np.sqrt(best)
 
 
 @njit(_nrt=False)
@@ -134,16 +123,7 @@ def path_point(s, course):
 def course_numbers(path: Any, posts: Any) -> CourseNumbers:
     """Return a course for compiled loops from its `path` and `posts`."""
     path, posts = np.asarray(path, float), np.asarray(posts, float)
-    lengths = np.diff(path[:, 2])
-    pieces = np.vstack([path[:-1, :2].T, np.diff(path[:, :2], axis=0).T, lengths**-2.0])
-    begins = np.r_[path[:-1, 2], path[:-1, 2] + path[-1, 2]]
-    return CourseNumbers(
-        points=path[:, :2] @ (1.0, 1j),
-        arcs=path[:, 2].copy(),
-        posts=posts @ (1.0, 1j),
-        pieces=(*np.tile(pieces, 2), begins),
-        squares=np.empty(begins.size),
-    )
+    return CourseNumbers(path[:, :2] @ (1.0, 1j), path[:, 2].copy(), posts @ (1.0, 1j))
 
 
 def post_rows(path: CourseNumbers) -> np.ndarray:
@@ -203,10 +183,8 @@ class Course(Checked):
         if around > LONGEST:
             raise ValueError(f"a lap may be {LONGEST:g} m long, got corners {around:.4g} m around")
         self.__dict__["corners"] = tuple(map(tuple, corners.tolist()))
-        points, arcs = self._rounded(corners)
-        path = np.column_stack([points.real, points.imag, arcs])
-        numbers = course_numbers(path, np.empty((0, 2)))
-        self.__dict__["_numbers"] = numbers._replace(posts=post_rows(numbers))
+        path = CourseNumbers(*self._rounded(corners), posts=np.empty(0))
+        self.__dict__["_numbers"] = path._replace(posts=post_rows(path))
 
     def _rounded(self, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the points of the path, closed, and their arc lengths."""
@@ -250,7 +228,7 @@ class Course(Checked):
         The path as a closed polyline, shape (N, 3): x, y and arc length s [m]; the last row is the
         first point.
         """
-        points, arcs = self._numbers[:2]
+        points, arcs, _ = self._numbers
         return np.column_stack([points.real, points.imag, arcs])
 
     @property
