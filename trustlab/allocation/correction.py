@@ -8,7 +8,9 @@ puts both thresholds nearest to it at every step, and so minimizes every term of
 step k any admissible threshold lies between its first value and that of this clipped plan; where
 TSC(k) does not lie between the two, rule (2.8) gives the same mode for all plans. If it never does,
 all plans have the same modes and clipping is optimal. From the first step at which it does, the
-bound of the cost lets thresholds move by c_b, the most that any boxes allow.
+bound of the cost takes the widest boxes that any modes can lead to: those of the autonomous mode
+for ever for a threshold that rises, those of the manual mode at the operator's best for one that
+falls.
 """
 
 from __future__ import annotations
@@ -163,7 +165,7 @@ def sound(low, high, c_b):
 
 
 @njit(inline="always")
-def follow_with(incentive, c, c_b, target, start, mode, given, path):
+def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
     """
     Follow (2.44) under the hard switch (2.8), with corrections as given where the boxes (2.42) and
     the intervals allow, and as fast as these allow where given is NaN.
@@ -172,12 +174,15 @@ def follow_with(incentive, c, c_b, target, start, mode, given, path):
     COLUMNS, the last three without their last column. `start` are the thresholds of the first
     column, `given` has the shape (2, N). Returns the cost (2.43), NaN where incentives are not
     sound, and a bound that no admissible plan costs less than, of use where all corrections are
-    NaN.
+    NaN; where incentives are not `certain` to be (2.42), the bound takes c_b.
     """
     cost = 0.0
     bound = 0.0
     alike = True  # whether all admissible plans have had the same modes so far
     nearest = start.copy()
+    # Of the states that other plans may be in, the least and the greatest load and performance.
+    r_least, p_least = path[R, 0], path[P_R, 0]
+    r_most, p_most = r_least, p_least
     for k in range(path.shape[1] - 1):
         r, p_r = path[R, k], path[P_R, k]
         lower, upper = path[L, k], path[U, k]
@@ -187,7 +192,15 @@ def follow_with(incentive, c, c_b, target, start, mode, given, path):
         if not sound(low, high, c_b):
             return np.nan, np.nan
         low, high = min(low, 0.0), max(high, 0.0)
-        down, up = (low, high) if alike else (-c_b, c_b)
+        down, up = low, high
+        if alike:
+            r_least, p_least = r, p_r
+            r_most, p_most = r, p_r
+        elif certain:
+            up = max(incentive(r_least, p_least, c_b, c.p_r_min, c.p_r_max)[1], 0.0)
+            down = min(incentive(r_most, p_most, c_b, c.p_r_min, c.p_r_max)[0], 0.0)
+        else:
+            down, up = -c_b, c_b
         # Between switches (2.8) waits for one threshold alone, which other plans have between its
         # first value and this one.
         if alike and k > 0 and mode == 1:
@@ -205,13 +218,17 @@ def follow_with(incentive, c, c_b, target, start, mode, given, path):
             bound += (nearest[side] - goal) ** 2
         path[MODE, k] = mode
         path[R, k + 1], path[P_R, k + 1] = advance(r, p_r, p_h, float(mode), c)
+        # Performance falls farthest under P_h,min where that is negative, else without anybody.
+        p_least = advance(0.0, p_least, min(c.p_h_min, 0.0), 1.0, c)[1]
+        r_least = advance(r_least, 0.0, 0.0, 0.0, c)[0]
+        r_most, p_most = advance(r_most, p_most, c.p_h_max, 1.0, c)
     return cost, min(bound, cost)
 
 
 @njit
 def follow(c, c_b, target, start, mode, given, path):
     """Follow (2.44) as `follow_with` does, with the incentives (2.42)."""
-    return follow_with(box, c, c_b, target, start, mode, given, path)
+    return follow_with(box, True, c, c_b, target, start, mode, given, path)
 
 
 # --- plans ----------------------------------------------------------------------------------------
@@ -497,7 +514,7 @@ class ThresholdCorrector:
         if self.incentive is incentive_box:
             called = self._follow if given is self._clipped else follow
             return *called(*arguments), path
-        return *follow_with.py_func(self.incentive, *arguments), path
+        return *follow_with.py_func(self.incentive, False, *arguments), path
 
 
 def suggestion_now(tsc: float, lower: float, upper: float) -> int:

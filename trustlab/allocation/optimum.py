@@ -8,6 +8,7 @@ alone. No rule exceeds the greatest f; holding r there, by a threshold on utiliz
 """
 
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,7 @@ from trustlab.allocation.steady import (
     AUTONOMOUS,
     LOW,
     MEAN,
+    SCREEN,
     R,
     grid_of_pairs,
     points,
@@ -37,6 +39,9 @@ LONGEST = 4.0
 MOST_DWELLS = 40
 MOST_SAMPLES = 20_000
 DENSE = 600
+
+# How many of the best pairs of thresholds, screened over short runs, are followed at length.
+FOLLOWED = 25
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -318,11 +323,13 @@ def _best_thresholds(
     low, high = sorted([limits.lower, limits.upper])
     margin = 0.01 * max(high - low, 1e-6)
     pairs = grid_of_pairs(low + margin, high - margin, 40)
-    motions = survey([tsc], pairs)
-    keeps = motions[0, :, AUTONOMOUS:, LOW].min(axis=1) >= least
-    keeps &= motions[0, :, R, MEAN] <= limit
-    if not keeps.any():
-        return None, np.nan
-    values = np.where(keeps, points(motions, [tsc], weight)[0], -np.inf)
-    best = int(np.argmax(values))
-    return tuple(pairs[best].tolist()), float(values[best])
+    screened = points(survey([tsc], pairs, SCREEN), [tsc], weight)[0]
+    followed = []
+    for k in np.argsort(-np.nan_to_num(screened, nan=-np.inf), kind="stable"):
+        motion = survey([tsc], pairs[k : k + 1])
+        if motion[0, 0, AUTONOMOUS:, LOW].min() >= least and motion[0, 0, R, MEAN] <= limit:
+            followed.append((float(points(motion, [tsc], weight).item()), tuple(pairs[k].tolist())))
+        if len(followed) == FOLLOWED:
+            break
+    value, best = max(followed, key=itemgetter(0), default=(np.nan, None))
+    return best, value
