@@ -197,13 +197,10 @@ KNOWN = {
         "watchdogs": "foreign errors",
     },
     "ros.RunSettings": {
-        "model": "anything is taken",
         "condition": "anything is taken",
         "thresholds": "anything is taken",
         "rule": "NaN is taken",
-        "share": "NaN is taken",
         "correction": "NaN is taken",
-        "settings": "anything is taken",
         "topics": "foreign errors",
         "facts": "NaN is taken",
     },

@@ -447,7 +447,7 @@ class LiveTeam(LiveWidget):
         language: str = "en",
     ):
         task, parts = team.TASK, {}
-        if not isinstance(condition, str):
+        if hasattr(condition, "leader"):
             policy = policy_named(condition)
             condition, task, parts = "own", team.task_of(policy), {"policy": policy.title}
         else:

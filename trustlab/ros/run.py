@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trustlab.allocation.correction import ThresholdCorrector
-from trustlab.models.checks import one_of
+from trustlab.models.checks import Checked, one_of
 from trustlab.models.published import published_models
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 from trustlab.ros.core import FIELDS, AllocationCore, CoreSettings, Watchdog
@@ -132,7 +132,7 @@ TOPICS = {
 
 
 @dataclass(frozen=True)
-class RunSettings:
+class RunSettings(Checked):
     """
     What a run is set to.
 
@@ -177,6 +177,7 @@ class RunSettings:
     facts: Mapping = field(default_factory=dict)
 
     def __post_init__(self):
+        super().__post_init__()
         for name, topic in self.topics.items():
             one_of("topics", name, TOPICS)
             usual = len(TOPICS[name].fields)
