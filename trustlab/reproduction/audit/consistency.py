@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction
-from functools import partial
+from functools import cache, partial
 from itertools import combinations
 from statistics import mode
 from types import SimpleNamespace
@@ -150,19 +150,29 @@ def joint_rows(numbers: Numbers, checked: Mapping[str, Row]) -> Iterator[Row]:
 def study_conflicts(numbers: Numbers) -> dict[str, str]:
     """Return numbers of studies that others contradict however p was adjusted, with the reason."""
     conflicts = {}
-    for name, study in published_studies().items():
-        texts: dict[str, Any] = {
-            key: {part: numbers[f"{name}/{key}.{part}"].printed for part in getattr(study, key)}
-            for key in PRINTED
-        }
-        texts["n"] = int(numbers[f"{name}/n"].value)
-        texts["epsilon"] = study.epsilon and numbers[f"{name}/epsilon"].printed
-        again = replace(study, **texts)
-        first, *rest = (contradictions(again, p_adjust) for p_adjust in ADJUSTMENTS)
-        for statistic, reason in first.items():
-            if all(statistic in other for other in rest):
-                conflicts[f"{name}/{statistic}"] = f"Impossible: {reason}."
+    for name in study_names(numbers):
+        ids = [id for id in numbers if id.startswith(f"{name}/")]
+        texts = tuple((id, numbers[id].printed) for id in ids)
+        conflicts |= _conflicts(name, int(numbers[f"{name}/n"].value), texts)
     return conflicts
+
+
+@cache
+def _conflicts(name: str, n: int, texts: tuple[tuple[str, str], ...]) -> dict[str, str]:
+    """Return the conflicts of one study; what is printed of it is proved wrong once."""
+    printed, study = dict(texts), published_studies()[name]
+    fields: dict[str, Any] = {
+        key: {part: printed[f"{name}/{key}.{part}"] for part in getattr(study, key)}
+        for key in PRINTED
+    }
+    fields["epsilon"] = study.epsilon and printed[f"{name}/epsilon"]
+    again = replace(study, n=n, **fields)
+    first, *rest = (contradictions(again, p_adjust) for p_adjust in ADJUSTMENTS)
+    return {
+        f"{name}/{statistic}": f"Impossible: {reason}."
+        for statistic, reason in first.items()
+        if all(statistic in other for other in rest)
+    }
 
 
 def is_attainable(number: PrintedNumber, units: Fraction) -> bool:
