@@ -128,23 +128,28 @@ def bounds_and_limits(v: Any, gain: float, b_pr: float | None = None) -> dict:
 
 def joint_rows(numbers: Numbers, checked: Mapping[str, Row]) -> Iterator[Row]:
     """
-    Return, for every participant, whether limits and bounds fit: the limits of Table 2.1, unless
-    one alone does not follow, and the bounds of Table 2.2, with the limits where these fit.
+    Return, for every participant, whether limits and bounds fit: the limits of Table 2.1, and the
+    bounds of Table 2.2, with the limits where these fit; unless one alone does not follow.
     """
+
+    def follow(table: str, names: tuple[str, ...], p: str) -> bool:
+        return all(checked[f"table_{table}/{name}/{p}"].verdict != "differs" for name in names)
+
     for p in PARTICIPANTS:
         gain = numbers[f"table_2.1/b_pr/{p}"].value
         inputs: tuple[str, ...] = RATE_INPUTS
         outputs: tuple[str, ...] = BOUNDS
         compute: Reading = bounds
-        if checked[f"table_2.1/TSC_ub/{p}"].verdict != "differs":
+        if follow("2.1", LIMITS, p):
             # b_pr as printed, then by (2.3).
             row = joint_row(numbers, p, LIMIT_INPUTS, LIMITS, partial(limits, b_pr=gain), limits)
             yield row
             if row.verdict == "within rounding":
                 inputs, outputs = (*inputs, "delta_P_h"), (*outputs, *LIMITS)
                 compute = partial(bounds_and_limits, gain=gain)
-        # c of (2.20) as it is, then as b_pr P_h/(1 − a_pr) with b_pr as printed.
-        yield joint_row(numbers, p, inputs, outputs, compute, partial(compute, b_pr=gain))
+        if follow("2.2", BOUNDS, p):
+            # c of (2.20) as it is, then as b_pr P_h/(1 − a_pr) with b_pr as printed.
+            yield joint_row(numbers, p, inputs, outputs, compute, partial(compute, b_pr=gain))
 
 
 def study_conflicts(numbers: Numbers) -> dict[str, str]:
