@@ -264,26 +264,25 @@ def remarks(numbers: Numbers, conflicts: Mapping[str, str]) -> Iterator[Row]:
         if limits[id] != mode(limits.values()):
             remark = "most of its kind have another bound; probably a zero is missing."
             yield row_about(numbers[id], f"Suspicious: {remark}")
-    for first, second in combinations(study_names(numbers), 2):
-        chi2, p = (
-            [numbers.get(f"{study}/mauchly.{name}") for study in (first, second)]
-            for name in ("chi2", "p")
-        )
-        if _same(*chi2) and _same(*p):
-            number = chi2[1]
-            df = numbers[f"{second}/mauchly.df"].value
-            chance = float(np.diff(stats.chi2.cdf(number.compatible, df))[0])
+    tests = {
+        study: [
+            numbers[id].printed
+            for end in ("chi2", "p")
+            if (id := f"{study}/mauchly.{end}") in numbers
+        ]
+        for study in study_names(numbers)
+    }
+    for first, second in combinations(tests, 2):
+        if len(tests[first]) == 2 and tests[first] == tests[second]:
+            chi2, p = tests[second]
+            number, df = (numbers[f"{second}/mauchly.{end}"] for end in ("chi2", "df"))
+            chance = float(np.diff(stats.chi2.cdf(number.compatible, df.value))[0])
             reason = (
-                f"Suspicious: χ² = {number.printed} and p = {p[1].printed} are printed for {first} "
-                "as well; under sphericity two measures agree so closely with a chance of about 1 "
-                f"in {1.0 / chance:.0f}. Probably one was copied from the other."
+                f"Suspicious: χ² = {chi2} and p = {p} are printed for {first} as well; under "
+                "sphericity two measures agree so closely with a chance of about 1 in "
+                f"{1.0 / chance:.0f}. Probably one was copied from the other."
             )
             yield row_about(number, reason, id=f"{number.id}/duplicate")
-
-
-def _same(first: PrintedNumber | None, second: PrintedNumber | None) -> bool:
-    """Return whether two numbers are printed, and alike."""
-    return first is not None and second is not None and first.printed == second.printed
 
 
 # Where numbers are printed a second time, their first place, and its name.
