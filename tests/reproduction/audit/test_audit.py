@@ -43,7 +43,6 @@ SLIPS = {
     "table_2.1/delta_TSC/4",
     "table_2.1/delta_TSC/5",
     "table_2.1/TSC_ub/5",
-    "table_2.2/P_ru/3/column",
     "table_2.2/r_l/3",
     "teleop.tracking_error/anova.df1",
     "claim/section_2_1/c3_lowers_perceived_workload_against_c1_by",
@@ -242,10 +241,26 @@ def test_a_contradiction_of_a_study_is_a_verdict():
 
 
 def test_participant_3_follows_from_other_thresholds(verdicts):
+    """All numbers of the column at once, where none alone says otherwise."""
     id = "table_2.2/P_ru/3/column"
-    assert verdicts.loc[id, "verdict"] == "differs"
+    assert id not in verdicts.index
+    assert verdicts.loc["table_2.2/r_l/3", "verdict"] == "differs"
     changes = {"table_2.2/TSC_l/3": "0.10", "table_2.2/TSC_u/3": "0.37"}
     assert audit(changes).set_index("id").loc[id, "verdict"] == "within rounding"
+
+
+def test_there_are_16_distinct_slips(verdicts):
+    """n = 36 stands in seven results of the UAV study and is one."""
+    slips = verdicts[verdicts["verdict"] == "differs"]
+    assert len(slips.drop_duplicates(["quantity", "printed", "reason"])) == 16
+
+
+def test_four_numbers_that_fit_one_by_one_need_not_fit_at_once():
+    """Negative control: bounds of participant 4, each within its own range."""
+    changes = {"table_2.2/P_rl/4": "0.283", "table_2.2/r_l/4": "0.602"}
+    rows = audit(changes).set_index("id")
+    assert {rows.loc[id, "verdict"] for id in changes} == {"within rounding"}
+    assert rows.loc["table_2.2/P_ru/4/column", "verdict"] == "differs"
 
 
 def test_no_certain_slip_within_rounding():

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction
-from functools import partial
+from functools import cache, partial
 from itertools import combinations
 from statistics import mode
 from types import SimpleNamespace
@@ -128,41 +128,56 @@ def bounds_and_limits(v: Any, gain: float, b_pr: float | None = None) -> dict:
 
 def joint_rows(numbers: Numbers, checked: Mapping[str, Row]) -> Iterator[Row]:
     """
-    Return, for every participant, whether limits and bounds fit: the limits of Table 2.1, unless
-    one alone does not follow, and the bounds of Table 2.2, with the limits where these fit.
+    Return, for every participant, whether limits and bounds fit: the limits of Table 2.1, and the
+    bounds of Table 2.2, with the limits where these fit; unless one alone does not follow.
     """
+
+    def follow(table: str, names: tuple[str, ...], p: str) -> bool:
+        return all(checked[f"table_{table}/{name}/{p}"].verdict != "differs" for name in names)
+
     for p in PARTICIPANTS:
         gain = numbers[f"table_2.1/b_pr/{p}"].value
         inputs: tuple[str, ...] = RATE_INPUTS
         outputs: tuple[str, ...] = BOUNDS
         compute: Reading = bounds
-        if checked[f"table_2.1/TSC_ub/{p}"].verdict != "differs":
+        if follow("2.1", LIMITS, p):
             # b_pr as printed, then by (2.3).
             row = joint_row(numbers, p, LIMIT_INPUTS, LIMITS, partial(limits, b_pr=gain), limits)
             yield row
             if row.verdict == "within rounding":
                 inputs, outputs = (*inputs, "delta_P_h"), (*outputs, *LIMITS)
                 compute = partial(bounds_and_limits, gain=gain)
-        # c of (2.20) as it is, then as b_pr P_h/(1 − a_pr) with b_pr as printed.
-        yield joint_row(numbers, p, inputs, outputs, compute, partial(compute, b_pr=gain))
+        if follow("2.2", BOUNDS, p):
+            # c of (2.20) as it is, then as b_pr P_h/(1 − a_pr) with b_pr as printed.
+            yield joint_row(numbers, p, inputs, outputs, compute, partial(compute, b_pr=gain))
 
 
 def study_conflicts(numbers: Numbers) -> dict[str, str]:
     """Return numbers of studies that others contradict however p was adjusted, with the reason."""
     conflicts = {}
-    for name, study in published_studies().items():
-        texts: dict[str, Any] = {
-            key: {part: numbers[f"{name}/{key}.{part}"].printed for part in getattr(study, key)}
-            for key in PRINTED
-        }
-        texts["n"] = int(numbers[f"{name}/n"].value)
-        texts["epsilon"] = study.epsilon and numbers[f"{name}/epsilon"].printed
-        again = replace(study, **texts)
-        first, *rest = (contradictions(again, p_adjust) for p_adjust in ADJUSTMENTS)
-        for statistic, reason in first.items():
-            if all(statistic in other for other in rest):
-                conflicts[f"{name}/{statistic}"] = f"Impossible: {reason}."
+    for name in study_names(numbers):
+        ids = [id for id in numbers if id.startswith(f"{name}/")]
+        texts = tuple((id, numbers[id].printed) for id in ids)
+        conflicts |= _conflicts(name, int(numbers[f"{name}/n"].value), texts)
     return conflicts
+
+
+@cache
+def _conflicts(name: str, n: int, texts: tuple[tuple[str, str], ...]) -> dict[str, str]:
+    """Return the conflicts of one study; what is printed of it is proved wrong once."""
+    printed, study = dict(texts), published_studies()[name]
+    fields: dict[str, Any] = {
+        key: {part: printed[f"{name}/{key}.{part}"] for part in getattr(study, key)}
+        for key in PRINTED
+    }
+    fields["epsilon"] = study.epsilon and printed[f"{name}/epsilon"]
+    again = replace(study, n=n, **fields)
+    first, *rest = (contradictions(again, p_adjust) for p_adjust in ADJUSTMENTS)
+    return {
+        f"{name}/{statistic}": f"Impossible: {reason}."
+        for statistic, reason in first.items()
+        if all(statistic in other for other in rest)
+    }
 
 
 def is_attainable(number: PrintedNumber, units: Fraction) -> bool:
@@ -249,26 +264,25 @@ def remarks(numbers: Numbers, conflicts: Mapping[str, str]) -> Iterator[Row]:
         if limits[id] != mode(limits.values()):
             remark = "most of its kind have another bound; probably a zero is missing."
             yield row_about(numbers[id], f"Suspicious: {remark}")
-    for first, second in combinations(study_names(numbers), 2):
-        chi2, p = (
-            [numbers.get(f"{study}/mauchly.{name}") for study in (first, second)]
-            for name in ("chi2", "p")
-        )
-        if _same(*chi2) and _same(*p):
-            number = chi2[1]
-            df = numbers[f"{second}/mauchly.df"].value
-            chance = float(np.diff(stats.chi2.cdf(number.compatible, df))[0])
+    tests = {
+        study: [
+            numbers[id].printed
+            for end in ("chi2", "p")
+            if (id := f"{study}/mauchly.{end}") in numbers
+        ]
+        for study in study_names(numbers)
+    }
+    for first, second in combinations(tests, 2):
+        if len(tests[first]) == 2 and tests[first] == tests[second]:
+            chi2, p = tests[second]
+            number, df = (numbers[f"{second}/mauchly.{end}"] for end in ("chi2", "df"))
+            chance = float(np.diff(stats.chi2.cdf(number.compatible, df.value))[0])
             reason = (
-                f"Suspicious: χ² = {number.printed} and p = {p[1].printed} are printed for {first} "
-                "as well; under sphericity two measures agree so closely with a chance of about 1 "
-                f"in {1.0 / chance:.0f}. Probably one was copied from the other."
+                f"Suspicious: χ² = {chi2} and p = {p} are printed for {first} as well; under "
+                "sphericity two measures agree so closely with a chance of about 1 in "
+                f"{1.0 / chance:.0f}. Probably one was copied from the other."
             )
             yield row_about(number, reason, id=f"{number.id}/duplicate")
-
-
-def _same(first: PrintedNumber | None, second: PrintedNumber | None) -> bool:
-    """Return whether two numbers are printed, and alike."""
-    return first is not None and second is not None and first.printed == second.printed
 
 
 # Where numbers are printed a second time, their first place, and its name.
