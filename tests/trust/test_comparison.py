@@ -11,7 +11,7 @@ from trustlab.trust.comparison import recover_trust_models
 from trustlab.trust.dynamics import MODELS
 from trustlab.trust.likelihood import predict, simulate_ratings
 
-FAST = ["performance", "asymmetric", "persistence"]
+FAST = ["performance", "asymmetric", "persistence", "habit"]
 
 
 @pytest.fixture(scope="module")

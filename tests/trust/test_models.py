@@ -206,6 +206,7 @@ def test_one_person_on_line_is_a_row_of_the_panel(name):
     expected = tl.trust.predict(model, people)
     belief = model.start(people.ratings[1, :1])
     for k in range(10):
+        assert model.preference(belief) == pytest.approx(expected.preference[1, k], abs=1e-12)
         signals = (float(signal[1, k]) for signal in people.events)
         belief = model.step(belief, tl.trust.Event(*(np.array([value]) for value in signals)))
         assert model.rating(belief).mean[0] == pytest.approx(expected.mean[1, k], abs=1e-12)
@@ -221,6 +222,11 @@ def test_baselines_are_what_they_say():
     np.testing.assert_allclose(
         tl.trust.predict(persistent, people).mean, people.ratings[:, :-1], atol=1e-5
     )
+    followed = np.array([[1.0, 1.0, np.nan, 0.0]] * 2)
+    events = people.events._replace(**{n: v[:2, :4] for n, v in people.events._asdict().items()})
+    habit = tl.trust.Panel((1, 2), events._replace(followed=followed), people.ratings[:2, :5], 0.01)
+    odds = tl.trust.predict(BASELINES["habit"](), habit).preference[0]
+    np.testing.assert_allclose(np.exp(odds), [1.0, 2.0, 3.0, 3.0])
 
 
 TRUTH = {

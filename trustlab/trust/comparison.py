@@ -16,9 +16,9 @@ from trustlab.trust.interface import LEAST, TrustDynamics
 from trustlab.trust.likelihood import cell, predict, simulate_ratings
 from trustlab.trust.panel import Panel
 
-# Of every person: squared errors, less is better; log score in nats a rating, more is better;
-# ratings within the 90 % interval.
-MEASURES = ("free_error", "step_error", "log_score", "coverage")
+# Of every person: squared errors, less is better; log score in nats a rating, more is better; log
+# loss of reliance in nats a decision, less is better; ratings within the 90 % interval.
+MEASURES = ("free_error", "step_error", "log_score", "reliance_loss", "coverage")
 Models = Sequence | Mapping | None
 
 
@@ -62,7 +62,7 @@ class TrustComparison(Result):
         -------
         pandas.DataFrame
             Columns split, model, free_rmse and step_rmse (from no rating but the first, or from all
-            so far), log_score, coverage (of 90 % intervals).
+            so far), log_score, reliance_loss, coverage (of 90 % intervals).
         """
         means = self.scores.groupby(["split", "model"], sort=False)[list(MEASURES)].mean()
         means = means.reset_index()
@@ -83,7 +83,7 @@ class TrustComparison(Result):
         names = list(dict.fromkeys(self.scores["model"]))
         rows = []
         for split, scores in self.scores.groupby("split", sort=False):
-            for measure in MEASURES[:3]:
+            for measure in MEASURES[:4]:
                 wide = scores.pivot_table(measure, "person", "model", dropna=False)
                 for name in names:
                     apart = (wide[name] - wide[self.against]).dropna()
@@ -153,7 +153,7 @@ def compare_trust_models(
     >>> import trustlab as tl
     >>> result = tl.compare_trust_models(tl.read_people("hybrid_vr"), ["beta", "persistence"])
     >>> result.table().shape
-    (4, 6)
+    (4, 7)
     """
     of_class("panel", panel, Panel, "tl.read_people(…) reads one")
     chosen = named_models(models)
@@ -193,10 +193,12 @@ def _scores(fit: TrustFit, panel: Panel, since: int) -> pd.DataFrame:
         _in_central_interval(rating, actual[:, k], panel.resolution)
         for k, rating in enumerate(steps.distributions)
     ]
+    odds = fit.link.bias + fit.link.slope * steps.preference
     values = {
         "free_error": np.square(free.mean - actual),
         "step_error": np.square(steps.mean - actual),
         "log_score": np.log(np.maximum(steps.probability(panel), LEAST)),
+        "reliance_loss": -special.log_expit(-odds) - panel.events.followed * odds,
         "coverage": np.where(np.isnan(actual), np.nan, np.transpose(inside)),
     }
     means = {name: pd.DataFrame(value[:, since:]).mean(axis=1) for name, value in values.items()}

@@ -3,10 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy.optimize import brentq, minimize
+from scipy.special import expit
 
 from trustlab.models.checks import of_class, one_of
 from trustlab.models.display import Result
@@ -18,7 +20,7 @@ from trustlab.trust.interface import (
     values_at,
     with_parameters,
 )
-from trustlab.trust.likelihood import log_likelihood
+from trustlab.trust.likelihood import log_likelihood, predict
 from trustlab.trust.panel import Panel
 
 # The loss at each row of coordinates, shape (rows, parameters).
@@ -44,6 +46,13 @@ BEST = 2
 ALIKE = 1e-3
 
 
+class Link(NamedTuple):
+    """Log odds of reliance: bias + slope · preference."""
+
+    bias: float
+    slope: float
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class TrustFit(Result):
     """
@@ -61,6 +70,8 @@ class TrustFit(Result):
         Those of the model, without bounds.
     log_likelihood : float
         Of the ratings after the first.
+    link : Link
+        Of reliance on the model's preference, fitted afterwards; NaN where nobody could rely.
     ratings : int
         Ratings fitted.
     """
@@ -70,6 +81,7 @@ class TrustFit(Result):
     criterion: str
     coordinates: np.ndarray
     log_likelihood: float
+    link: Link
     ratings: int
 
     @property
@@ -167,7 +179,8 @@ def fit_trust(
 
     Notes
     -----
-    All people share their parameters.
+    All people share their parameters. Reliance is fitted after trust, so that it does not change
+    what the ratings say.
 
     Examples
     --------
@@ -206,6 +219,7 @@ def fitted(
         criterion="free" if free else "step",
         coordinates=coordinates,
         log_likelihood=float(log_likelihood(model, panel, free, until).sum()),
+        link=reliance_link(model, panel, until),
         ratings=ratings,
     )
 
@@ -301,3 +315,23 @@ def _end(loss: Loss, centre: np.ndarray, held: int, edge: float) -> float:
             return np.copysign(np.inf, edge)
         inner, step = outer, 2.0 * step
     return brentq(fall, inner, outer, xtol=NEAR)
+
+
+def reliance_link(model: TrustDynamics, panel: Panel, until: int | None = None) -> Link:
+    """Return the link of reliance that is likeliest, given what a model says of trust."""
+    followed = panel.events.followed[:, :until]
+    asked = np.isfinite(followed)
+    if not asked.any():
+        return Link(np.nan, np.nan)
+    preference = predict(model, panel).preference[:, :until][asked]
+    relied = followed[asked]
+
+    def loss_and_slope(x: np.ndarray):
+        odds = x[0] + x[1] * preference
+        error = expit(odds) - relied
+        # A weak prior: where trust and reliance are one step the slope has no maximum.
+        loss = np.logaddexp(0.0, odds) - relied * odds
+        slope = np.array([error.mean(), (error * preference).mean()])
+        return loss.mean() + 1e-5 * x @ x, slope + 2e-5 * x
+
+    return Link(*map(float, minimize(loss_and_slope, np.zeros(2), jac=True, method="BFGS").x))

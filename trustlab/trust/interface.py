@@ -201,7 +201,7 @@ def parameter(default: float, low: float, high: float) -> Any:
 @dataclass(frozen=True)
 class TrustDynamics:
     """
-    A model of trust: what people are believed to trust, how it changes and what they rate.
+    A model of trust: what people are believed to trust, how it changes, what they rate and do.
 
     A subclass has its parameters as fields (`parameter`), and `start`, `step`, `learn` and
     `rating`. A belief is whatever it wants; arrays in it have a row per person. Parameters may be
@@ -291,6 +291,17 @@ class TrustDynamics:
             The belief now.
         """
         raise NotImplementedError
+
+    def preference(self, belief: Any) -> np.ndarray:
+        """
+        Return what reliance depends on: the expected trust, unless a model says otherwise.
+
+        Parameters
+        ----------
+        belief : Any
+            The belief now.
+        """
+        return self.rating(belief).mean
 
 
 def ranges_of(model: TrustDynamics | type[TrustDynamics]) -> np.ndarray:

@@ -11,15 +11,18 @@ from trustlab.trust.panel import Panel
 
 class Predictions(NamedTuple):
     """
-    What a model says before every rating after the first.
+    What a model says before every event and every later rating.
 
     Parameters
     ----------
     distributions : list
         Of the ratings after each event.
+    preference : numpy.ndarray, shape (N, K)
+        What reliance depends on, before each event.
     """
 
     distributions: list
+    preference: np.ndarray
 
     @property
     def mean(self) -> np.ndarray:
@@ -63,13 +66,14 @@ def predict(model: TrustDynamics, panel: Panel, free: bool = False, known: int =
     Predictions
     """
     belief = model.start(panel.ratings[:, 0])
-    distributions = []
+    distributions, preference = [], np.empty((len(panel), panel.trials))
     for k in range(panel.trials):
+        preference[:, k] = model.preference(belief)
         belief = model.step(belief, panel.event(k))
         distributions.append(model.rating(belief))
         if not free or k < known:
             belief = model.learn(belief, panel.ratings[:, k + 1])
-    return Predictions(distributions)
+    return Predictions(distributions, preference)
 
 
 def log_likelihood(

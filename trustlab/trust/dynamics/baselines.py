@@ -1,9 +1,12 @@
-"""What a model of trust has to beat: persistence, running mean, a constant."""
+"""What a model of trust has to beat: persistence, running mean, a constant, a person's habit."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
-from trustlab.trust.dynamics.linear import LinearTrust
+import numpy as np
+from scipy import special
+
+from trustlab.trust.dynamics.linear import Gaussian, LinearTrust
 from trustlab.trust.interface import Event, parameter
 
 
@@ -74,3 +77,51 @@ class Constant(LinearTrust):
             Without effect.
         """
         return 0.0, self.level
+
+
+# States of a habit: trust, then how often a person could rely on the robot, and how often they did.
+_, CHANCES, RELIED = range(3)
+
+
+@dataclass(frozen=True)
+class Habit(RunningMean):
+    """
+    People go on as before: ratings about their running mean, reliance at their share so far.
+
+    Parameters
+    ----------
+    process_sd, rating_sd : float
+        See `LinearTrust`; there is no process noise.
+    """
+
+    title: ClassVar[str] = "own habit"
+    direction: ClassVar[tuple[float, ...]] = (1.0, 0.0, 0.0)
+    offset: ClassVar[tuple[float, ...]] = (0.0, 0.0, 0.0)
+
+    def transition(self, event: Event):
+        """
+        Return a matrix that keeps all, and what is counted.
+
+        Parameters
+        ----------
+        event : Event
+            Its `followed`.
+        """
+        followed = np.asarray(event.followed, dtype=float)
+        asked = np.isfinite(followed)
+        count = np.zeros((*followed.shape, 3))
+        count[..., CHANCES] = asked
+        count[..., RELIED] = np.where(asked, followed, 0.0)
+        return np.eye(3), count
+
+    def preference(self, belief: Gaussian) -> np.ndarray:
+        """
+        Return the log odds of the share of chances taken so far, one taken and one not added.
+
+        Parameters
+        ----------
+        belief : Gaussian
+            The belief now.
+        """
+        relied = belief.mean[:, RELIED] + 1.0
+        return special.logit(relied / (belief.mean[:, CHANCES] + 2.0))
