@@ -6,6 +6,7 @@ Oracles: balance counted by brute force, from 2 to 12 conditions; R's lm on full
 """
 
 import itertools
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -113,7 +114,9 @@ def test_agrees_with_r(name):
 
 
 def test_two_periods_do_not_separate_carry_over_and_say_so():
-    found = effects_of(frame_of("two conditions"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = effects_of(frame_of("two conditions"))
     assert "not estimable" in found.loc["carry_over", "note"]
     assert np.isnan(found.loc["carry_over", "F"])
     assert np.isfinite(found.loc["condition_without_carry_over", "F"])

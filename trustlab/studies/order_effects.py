@@ -3,7 +3,6 @@
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -134,8 +133,8 @@ def order_effects(
     values = scores.to_numpy()
     y = (values - values.mean()).ravel()
     full = _within_subjects(codes, len(labels))
-    model = _least_squares(y, full)
-    if model.ssr <= y.size * (4.0 * np.finfo(float).eps * np.abs(values).max()) ** 2:
+    error, df = _residual(y, full)
+    if error <= y.size * (4.0 * np.finfo(float).eps * np.abs(values).max()) ** 2:
         raise ValueError(f"dv: {y.size} scores leave no error variance beside all effects")
     between = {"mean": np.ones((n, 1)), "sequence": pd.get_dummies(sequences).to_numpy(float)}
     direct = {name: x for name, x in full.items() if name != "carry_over"}
@@ -145,8 +144,8 @@ def order_effects(
         ("condition_without_carry_over", *_test("condition", y, direct)[1:]),
     ]
     table = pd.DataFrame(tests, columns=["effect", "ss", "df1", "df2", "F", "p", "note"])
-    separable = y.size - model.df_resid == n + k - 1 + 2 * (len(labels) - 1)
-    pairs = _differences(model if separable else _least_squares(y, direct), labels)
+    separable = y.size - df == n + k - 1 + 2 * (len(labels) - 1)
+    pairs = _differences(y, full if separable else direct, labels)
     origin = scores.attrs.get("origin", "")
     return OrderEffects(dv, scores, labelled(table, origin), labelled(pairs, origin))
 
@@ -165,38 +164,40 @@ def _within_subjects(codes: np.ndarray, count: int) -> dict[str, np.ndarray]:
     }
 
 
-def _least_squares(y: np.ndarray, parts: dict[str, np.ndarray]) -> Any:
-    """Return the regression on all parts, which may depend on each other."""
-    from statsmodels.regression.linear_model import OLS
-
-    return OLS(y, np.column_stack([*parts.values()])).fit()
+def _residual(y: np.ndarray, parts: dict[str, np.ndarray]) -> tuple[float, int]:
+    """Return the residual sum of squares of a regression and its degrees of freedom."""
+    x = np.column_stack([*parts.values()])
+    beta, _, rank, _ = np.linalg.lstsq(x, y)
+    return float(((y - x @ beta) ** 2).sum()), y.size - int(rank)
 
 
 def _test(effect: str, y: np.ndarray, parts: dict[str, np.ndarray]) -> tuple:
     """Return a row of the table: the regression on all parts against the one without the effect."""
-    full = _least_squares(y, parts)
-    rest = _least_squares(y, {name: x for name, x in parts.items() if name != effect})
-    df2, contrasts = int(full.df_resid), parts[effect].shape[1] - 1
-    df1, ss = int(rest.df_resid) - df2, rest.ssr - full.ssr
+    error, df2 = _residual(y, parts)
+    total, df = _residual(y, {name: x for name, x in parts.items() if name != effect})
+    df1, contrasts = df - df2, parts[effect].shape[1] - 1
     note = "not testable: every sequence has one subject"
     if df1 == 0:
         note = "not estimable: these orders do not separate it from the other effects"
     if df1 * df2 == 0:
         return effect, np.nan, df1, df2, np.nan, np.nan, note
     note = f"only {df1} of {contrasts} contrasts are estimable from these orders"
-    f = ss / df1 / (full.ssr / df2)
-    return effect, ss, df1, df2, f, special.fdtrc(df1, df2, f), note if df1 < contrasts else ""
+    f = (total - error) / df1 / (error / df2)
+    p = float(special.fdtrc(df1, df2, f))
+    return effect, total - error, df1, df2, f, p, note if df1 < contrasts else ""
 
 
-def _differences(model: Any, labels: Sequence) -> pd.DataFrame:
+def _differences(y: np.ndarray, parts: dict[str, np.ndarray], labels: Sequence) -> pd.DataFrame:
     """Return the differences of conditions, whose regressors are the first."""
-    x = model.model.exog
+    error, df = _residual(y, parts)
+    x = np.column_stack([*parts.values()])
     weights = np.array([a - b for a, b in combinations(np.eye(len(labels), x.shape[1]), 2)])
-    found = model.t_test(weights)
-    tests = estimates_of(np.ravel(found.effect), np.ravel(found.sd), model.df_resid)
+    inverse = np.linalg.pinv(x)
+    se = np.sqrt(error / df * ((weights @ inverse) ** 2).sum(axis=1))
+    tests = estimates_of(weights @ inverse @ y, se, df)
     # Estimable weights are combinations of contrasts of the regressors.
-    tests[~np.isclose(weights @ np.linalg.pinv(x) @ x, weights, atol=1e-8).all(axis=1)] = np.nan
+    tests[~np.isclose(weights @ inverse @ x, weights, atol=1e-8).all(axis=1)] = np.nan
     pairs = pd.DataFrame(combinations(labels, 2), columns=["a", "b"]).join(tests)
     pairs = pairs.rename(columns={"estimate": "mean_difference"})
-    pairs = pairs.assign(df=model.df_resid, p_holm=holm(pairs["p"].to_numpy()))
+    pairs = pairs.assign(df=df, p_holm=holm(pairs["p"].to_numpy()))
     return pairs[["a", "b", "mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"]]

@@ -82,12 +82,12 @@ def level_pairs(
     sizes = {name: len(levels) for name, levels in factors.items()}
     means = {name: np.full((1, k), 1.0 / k) for name, k in sizes.items()}
     a, b = np.triu_indices(sizes[factor], 1)
-    differences = np.eye(sizes[factor])[a] - np.eye(sizes[factor])[b]
+    contrasts = np.eye(sizes[factor])[a] - np.eye(sizes[factor])[b]
     cells = math.prod(map(len, design.within.values()))
     pairs, weights = [], []
     for place, level in enumerate([np.nan] if at is None else factors[at]):
         fixed = {} if at is None else {at: np.eye(sizes[at])[[place]]}
-        of_cells = reduce(np.kron, (means | fixed | {factor: differences}).values())
+        of_cells = reduce(np.kron, (means | fixed | {factor: contrasts}).values())
         weights.append(design.combinations.T @ of_cells.reshape(len(a), -1, cells))
         pairs += [(level, *pair) for pair in combinations(factors[factor], 2)]
     table = pd.DataFrame(pairs, columns=["level", "a", "b"], dtype=object)
