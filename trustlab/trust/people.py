@@ -16,9 +16,9 @@ from trustlab.models.checks import did_you_mean, one_of
 from trustlab.models.published import data_folder
 from trustlab.trust.panel import Panel, panel_of
 
-SEVEN_POINTS = {"low": 1.0, "high": 7.0, "resolution": 1.0 / 6.0}
+SEVEN_POINTS: dict[str, Any] = {"low": 1.0, "high": 7.0, "resolution": 1.0 / 6.0}
 # Of a live study: trust by the checklist after every drive.
-STUDY_RECIPE = {
+STUDY_RECIPE: dict[str, Any] = {
     "columns": {"person": "participant", "trial": "position", "rating": "trust_mean", "p_r": "p_r"},
     "low": 1.0,
     "high": 7.0,
@@ -72,7 +72,7 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
         return read(data_folder("people") / file)
     if isinstance(recipe, str | os.PathLike):
         recipe = tomllib.loads(Path(recipe).read_text(encoding="utf-8"))
-    settings = dict(recipe or {})
+    settings: dict[str, Any] = dict(recipe or {})
     for key in settings:
         one_of("a recipe's key", key, panel_of.__kwdefaults__)
     if isinstance(name, pd.DataFrame):
@@ -84,7 +84,8 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
     if not path.is_file():
         meant = did_you_mean(name, SETS)
         raise ValueError(f"no set or file {str(name)!r}{meant} (sets: {', '.join(SETS)})")
-    return panel_of(pd.read_csv(path), **{"source": str(path)} | settings)
+    settings.setdefault("source", str(path))
+    return panel_of(pd.read_csv(path), **settings)
 
 
 def _hybrid(path: Path) -> Panel:
