@@ -231,6 +231,17 @@ def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
         assert state() == before
     with pytest.raises(ValueError, match="not known to be of this study; give a new"):
         tl.virtual_study(**QUICK, out=tmp_path / "sessions")
+    min(sessions).unlink()
+    with pytest.raises(ValueError, match=f"1 of {len(sessions)} sessions are missing"):
+        tl.virtual_study(**QUICK, out=tmp_path)
+
+
+def test_a_participant_is_joined_once(kept):
+    others = kept.measures.assign(participant=kept.measures["participant"] + 100)
+    joined = kept.joined(others)
+    assert (len(joined.measures), joined.analysis("p_r").n) == (100, 20)
+    with pytest.raises(ValueError, match=r"participant 10\d is in the study already"):
+        joined.joined(others.query("participant > 100"))
 
 
 @pytest.mark.parametrize(

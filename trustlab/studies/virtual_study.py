@@ -96,7 +96,7 @@ class VirtualStudy(Result):
         Raises
         ------
         ValueError
-            If a column is missing or unknown, or a condition is not the study's.
+            If a column is missing or unknown, a condition is not the study's, or a participant is.
         """
         if not {*KEYS} <= {*measures.columns} <= {*self.measures.columns}:
             raise ValueError(
@@ -105,6 +105,8 @@ class VirtualStudy(Result):
             )
         for condition in measures["condition"].unique():
             one_of("condition", condition, self.conditions)
+        if twice := {*measures["participant"]} & {*self.measures["participant"]}:
+            raise ValueError(f"participant {twice.pop()!r} is in the study already; rename theirs")
         joint = pd.concat([self.measures, measures], ignore_index=True)
         joint["condition"] = pd.Categorical(joint["condition"], self.conditions)
         return replace(self, measures=joint)
@@ -417,13 +419,23 @@ def _study_folder(out: str | os.PathLike) -> Path:
 
 
 def _finish(folder: Path, study: VirtualStudy) -> None:
-    """Write the tables of a study beside its sessions."""
+    """Check that every session is there, and write the tables beside them."""
+    orders = study.design.orders()
+    rows = orders[~orders["participant"].isin(study.failures["participant"])]
+    names = [session_file(*row) for row in rows.itertuples(index=False)]
+    missing = [name for name in names if not (folder / "sessions" / name).is_file()]
+    if missing:
+        raise ValueError(
+            f"out: {len(missing)} of {len(names)} sessions are missing from {folder / 'sessions'} "
+            f"({missing[0]} first), although the campaign beside it says that they were run; "
+            "remove the folder and run the study again"
+        )
     about = (
         f"SIMULATED. {study.title}: {study.message}\nOne file per session in sessions/: "
         "trustlab.read_sessions reads them.\n"
     )
     study.participants.to_csv(folder / "participants.csv", index=False)
-    study.design.orders().to_csv(folder / "orders.csv", index=False)
+    orders.to_csv(folder / "orders.csv", index=False)
     study.measures.to_csv(folder / "measures.csv", index=False)
     (folder / "about.txt").write_text(about, encoding="utf-8")
 
