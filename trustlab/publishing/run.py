@@ -39,7 +39,7 @@ SETTINGS = {
     "MPLBACKEND": "module://matplotlib_inline.backend_inline",
 }
 
-LISTED = ("trustlab", "numpy", "scipy", "pandas", "matplotlib", "numba", "statsmodels")
+LISTED = ("trustlab", "numpy", "scipy", "pandas", "matplotlib", "numba", "statsmodels", "pingouin")
 
 # Seconds that a cell may take.
 LIMIT = 1800.0
