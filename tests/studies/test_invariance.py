@@ -19,6 +19,7 @@ ONE = {"dv": "score", "within": "mode", "subject": "person"}
 ANALYSES = {
     "one factor": lambda f: tl.repeated_measures(f, **ONE).table(),
     "its pairs": lambda f: tl.repeated_measures(f, **ONE).pairs(),
+    "its pairs by ranks": lambda f: tl.repeated_measures(f, **ONE).pairs(method="wilcoxon"),
     "its assumptions": lambda f: tl.repeated_measures(f, **ONE).assumptions(),
     "two factors": lambda f: two(f).table(),
     "their pairs": lambda f: two(f).pairs("mode", at="task"),

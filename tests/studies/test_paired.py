@@ -3,6 +3,8 @@ The paired t-test, equivalence and Bayes factors. Oracles: R (t.test, BayesFacto
 reference/paired_t_test.R, reference/evidence.R), mpmath, brute force, closed forms, simulation.
 """
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -32,9 +34,42 @@ def test_agrees_with_r(name):
         assert getattr(found, key) == pytest.approx(own[key], rel=1e-9, abs=1e-13), key
     assert found.shapiro_w == pytest.approx(own["shapiro_w"], rel=1e-7)
     assert found.shapiro_p == pytest.approx(own["shapiro_p"], rel=1e-6)
+    ranks = found.analysis.pairs(method="wilcoxon").loc[0]
+    oracle = [own["wilcoxon_v"], own["wilcoxon_p"]]
+    assert [ranks["V"], ranks["p"]] == pytest.approx(oracle, rel=1e-9)
+    assert ("exact" in ranks["method"]) == ("exact" in own["wilcoxon_method"])
     narrow = run(own["a"], own["b"], confidence=0.9)
     limits = [own["ci90_low"], own["ci90_high"]]
     assert [narrow.ci_low, narrow.ci_high] == pytest.approx(limits, rel=1e-9, abs=1e-12)
+
+
+def ranked(a, b):
+    return run(a, b).analysis.pairs(method="wilcoxon").loc[0]
+
+
+def test_wilcoxon_is_exact_by_brute_force():
+    """Oracle: all 2^9 signs."""
+    d = np.array([0.3, -1.1, 2.4, 3.1, -0.7, 4.9, 1.6, -2.0, 5.5])
+    ranks = np.argsort(np.argsort(np.abs(d))) + 1
+    v = ranks[d > 0].sum()
+    every = np.array([ranks @ signs for signs in itertools.product([0, 1], repeat=9)])
+    p = 2 * min(np.mean(every >= v), np.mean(every <= v))
+    found = ranked(d, np.zeros(9))
+    assert (found["V"], found["p"]) == (v, pytest.approx(p, rel=1e-12))
+    assert found["rank_biserial"] == pytest.approx((v - (45 - v)) / 45)
+
+
+def test_ties_do_not_depend_on_the_unit():
+    """
+    0.3 − 0.2 and 0.2 − 0.1 differ in floating point, and are a tie; so are their tenfolds. Oracle:
+    whole numbers.
+    """
+    a, b = np.array([3, 2, 4, 7, 9, 11, 20]), np.array([2, 1, 1, 3, 8, 7, 14])
+    whole = ranked(a, b)
+    for unit in (0.1, 0.01, 1e-20, 0.7e5):
+        found = ranked(a * unit, b * unit)
+        assert found["p"] == pytest.approx(whole["p"], rel=1e-12)
+        assert found["V"] == whole["V"]
 
 
 def test_tables_and_sentence():

@@ -54,6 +54,13 @@ def test_a_pair_with_one_difference_has_no_error():
         np.testing.assert_allclose(error[0], stats.sem(own[0]), rtol=1e-12)
 
 
+def test_ranks_take_no_level():
+    result = tl.repeated_measures(drawn(), **COLUMNS)
+    for options in ({"confidence": 0.9}, {"factor": COLUMNS["within"]}):
+        with pytest.raises(ValueError, match="have no effect on ranks"):
+            result.pairs(method="wilcoxon", **options)
+
+
 @pytest.mark.parametrize(
     ("t", "n"), [(2.5, 12), (-0.3, 5), (0.0, 9), (8.0, 20), (-40.0, 36), (900.0, 6)]
 )

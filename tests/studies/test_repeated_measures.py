@@ -278,6 +278,19 @@ def test_assumptions_are_those_of_the_single_tests():
     assert found["p_anova"] == result.p_corrected
 
 
+def test_wilcoxon_pairs_are_those_of_scipy():
+    frame = drawn(14, seed=3)
+    found = analysed(frame).pairs(method="wilcoxon")
+    wide = frame.pivot_table(index="person", columns="mode", values="score")
+    for row in found.itertuples():
+        oracle = stats.wilcoxon(wide[row.a], wide[row.b], method="exact")
+        assert row.p == pytest.approx(oracle.pvalue)
+        assert row.median_difference == pytest.approx((wide[row.a] - wide[row.b]).median())
+        assert row.method == "exact"
+    order = found["p"].sort_values()
+    assert found["p_holm"][order.index[0]] == pytest.approx(min(3 * order.iloc[0], 1.0))
+
+
 def test_an_order_is_any_sequence_and_two_conditions_name_no_correction():
     frame = long(np.random.default_rng(0).normal(size=(8, 2)))
     text = tl.repeated_measures(frame, **COLUMNS, order=frame[COLUMNS["within"]].unique()).apa()

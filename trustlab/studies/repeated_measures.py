@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -124,6 +124,7 @@ class RepeatedMeasures(Tested):
         factor: Hashable = None,
         at: Hashable = None,
         *,
+        method: str = "t",
         confidence: float = 0.95,
     ) -> pd.DataFrame:
         """
@@ -136,6 +137,8 @@ class RepeatedMeasures(Tested):
         factor, at : hashable, optional
             The factor compared (by default the only one within subjects) and the one whose levels
             are fixed; p-values are adjusted within each level.
+        method : {"t", "wilcoxon"}
+            Paired t-tests, or Wilcoxon's signed-rank tests of one factor, which follow `friedman`.
         confidence : float
             Level of the intervals.
 
@@ -145,14 +148,22 @@ class RepeatedMeasures(Tested):
             Columns level (of `at`, with several factors) a b mean_difference (a − b) t p ci_low
             ci_high (unadjusted) df p_bonferroni p_holm d_z (mean over the residual standard
             deviation of the differences; NaN between groups) d_z_low d_z_high; of one factor also
-            d_av (mean over the mean of both standard deviations).
+            d_av (mean over the mean of both standard deviations). For "wilcoxon", a b V (sum of
+            the ranks of positive differences) p method rank_biserial (positive − negative ranks,
+            over all) median_difference p_bonferroni p_holm; p is NaN where no scores differ.
 
         Raises
         ------
         ValueError
-            If a factor is unknown or missing, or both are the same.
+            If a factor is unknown or missing, both are the same, or an argument has no effect.
         """
         level = open_unit("confidence", confidence)
+        if one_of("method", method, ("t", "wilcoxon")) == "wilcoxon":
+            self._refuse_several_factors('pairs(method="wilcoxon")')
+            if (factor, at, level) != (None, None, 0.95):
+                raise ValueError("factor, at and confidence have no effect on ranks")
+            names = pd.DataFrame(combinations(self.conditions, 2), columns=["a", "b"], dtype=object)
+            return labelled(names.join(pairs.rank_pairs(self.scores.to_numpy())), self.origin)
         if factor is None and len(self.within) == 1:
             factor = next(iter(self.within))
         table = pairs.factor_pairs(self._regression(), factor, at, level).drop(columns="se")
