@@ -182,6 +182,24 @@ def test_means_beside_data_take_the_spread_of_the_pilot():
     assert plan.population.labels == ("C3", "C1")
     with pytest.raises(ValueError, match=r"mean names \['C9'\], but data hold"):
         planned({"C1": 2.0, "C9": 2.1}, data=PILOT)
+    whole = planned([*PILOT.groupby("mode")["score"].mean()], data=PILOT)
+    own = planned(data=PILOT)
+    assert whole.population.labels == own.population.labels
+    assert (whole.n, whole.power) == (own.n, own.power)
+
+
+def test_people_whose_scores_do_not_depend_on_each_other_are_a_population():
+    """Rounding leaves covariances of some 1e-16 that are not symmetric."""
+    for k in range(2, 9):
+        plan = planned(np.arange(k), graded_covariance(k, 0.0, sd=7.0), effect_size=0.5)
+        assert plan.population.correlation == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_search_ends_at_most():
+    population = [0.0, 0.05, 0.1], graded_covariance(3)
+    with pytest.raises(ValueError, match="power: 100 subjects reach .* Raise most="):
+        planned(*population, most=100)
+    assert 1000 < planned(*population).n < 2000
 
 
 def test_a_plan_says_what_it_assumes():

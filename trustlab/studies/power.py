@@ -54,8 +54,6 @@ ADJUSTMENTS: dict[str, Any] = {"none": np.asarray, "bonferroni": bonferroni, "ho
 # The correction that `repeated_measures` makes by default.
 USUAL_TEST = "greenhouse-geisser"
 MOST_N = 100_000
-# The search for the smallest n ends beyond this number.
-MOST_TRIED = 1500
 # Scores drawn at once.
 SCORES = 1 << 20
 
@@ -226,7 +224,8 @@ class Conditions:
                 f"{mean.shape} and {covariance.shape}"
             )
         least, *_, greatest = np.linalg.eigvalsh(covariance)
-        if not np.allclose(covariance, covariance.T, atol=0.0) or least <= 1e-12 * greatest:
+        asymmetry = np.abs(covariance - covariance.T).max()
+        if asymmetry > 1e-8 * greatest or least <= 1e-12 * greatest:
             raise ValueError(
                 f"covariance must be symmetric and positive definite; its least eigenvalue is "
                 f"{least:.6g}, the greatest {greatest:.6g}"
@@ -313,6 +312,7 @@ def population_of(
     the others out.
     """
     names, origin = factors_of(columns), ""
+    known = pd.Series(dtype=float)
     if data is not None:
         if covariance is not None or (len(names) > 1 and mean is not None):
             raise ValueError(
@@ -334,8 +334,10 @@ def population_of(
         raise ValueError("give mean= and covariance= of the conditions, or data= to take both from")
     if not isinstance(mean, dict | pd.Series):
         values = finite_array("mean", mean)
-        named = isinstance(covariance, pd.DataFrame) and len(covariance) == len(values)
-        mean = pd.Series(values, covariance.index if named else range(1, len(values) + 1))
+        labels = covariance.index if isinstance(covariance, pd.DataFrame) else known.index
+        if len(labels) != len(values):
+            labels = pd.RangeIndex(1, len(values) + 1)
+        mean = pd.Series(values, labels)
     mean = pd.Series(mean, dtype=float)
     if len(names) > 1:
         return _population_of_cells(mean, covariance, columns, origin)
@@ -774,6 +776,7 @@ def smallest_n(
     effect_size: float | None = None,
     pair: tuple | None = None,
     test: str | None = None,
+    most: int = 2000,
     simulation: Simulation = USUAL_SIMULATION,
 ) -> SmallestN:
     """
@@ -796,6 +799,8 @@ def smallest_n(
     test : str, optional
         Correction of F, "greenhouse-geisser" (by default), "huynh-feldt" or "none"; of a pair, the
         adjustment of its p-value, "holm" (by default), "bonferroni" or "none".
+    most : int
+        The largest n to try.
     simulation : Simulation
         As for `power_analysis`.
 
@@ -806,7 +811,7 @@ def smallest_n(
     Raises
     ------
     ValueError
-        If an argument is out of range, or even 2,000 subjects do not reach the power.
+        If an argument is out of range, or even `most` subjects do not reach the power.
 
     Examples
     --------
@@ -827,6 +832,7 @@ def smallest_n(
     if effect_size is not None:
         population = population.with_effect(effect_size)
     target = open_unit("power", power)
+    most = whole_number("most", most, least=3, most=MOST_N)
     mask = None if pair is None else claims_mask([pair], population)
     usual, tests = (USUAL_TEST, TESTS) if pair is None else ("holm", ADJUSTMENTS)
     test = one_of("test", usual if test is None else test, tests)
@@ -840,13 +846,13 @@ def smallest_n(
 
     low, high = 2, 3
     while not enough(high):
-        if high > MOST_TRIED:
+        if high == most:
             raise ValueError(
-                f"power: {high} subjects reach {counts[high] / simulation.replicates:.3g} only, "
-                f"{target:g} was wanted. Measure each condition more often, which makes people "
-                "differ less, or look for a greater effect"
+                f"power: {most} subjects reach {counts[most] / simulation.replicates:.3g} only, "
+                f"{target:g} was wanted. Raise most=, measure each condition more often, which "
+                "makes people differ less, or look for a greater effect"
             )
-        low, high = high, 2 * high
+        low, high = high, min(2 * high, most)
     while high - low > 1:
         n = (low + high) // 2
         low, high = (low, n) if enough(n) else (n, high)
