@@ -131,6 +131,26 @@ def test_bad_weights_are_named(tlx, weights, words):
         score(tlx, NASA_TLX, **WHO, weights=weights)
 
 
+def test_landau_condition_equals_brute_force():
+    """Oracle: all 2^15 sets of choices."""
+    bits = (np.arange(2**15)[:, None] >> np.arange(15)) & 1
+    possible = np.zeros((2**15, 6), dtype=int)
+    for k, (a, b) in enumerate(itertools.combinations(range(6), 2)):
+        possible[:, a] += bits[:, k]
+        possible[:, b] += 1 - bits[:, k]
+    possible = {tuple(sorted(row)) for row in possible.tolist()}
+    answers = pd.DataFrame([["s"] + [50] * 6], columns=["pid", *NASA_TLX.items])
+    accepted = set()
+    for row in itertools.combinations_with_replacement(range(7), 6):
+        if 14 <= sum(row) <= 16:
+            try:
+                score(answers, NASA_TLX, subject="pid", weights=weights_of(s=row))
+                accepted.add(row)
+            except ValueError as error:
+                assert "are not those of fifteen choices" in str(error)  # noqa: PT017
+    assert accepted == possible
+
+
 # Other questionnaires
 
 
