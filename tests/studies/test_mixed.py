@@ -202,3 +202,8 @@ def test_a_factor_of_one_level_is_not_tested():
     frame = drawn(12).assign(mode="a")
     with pytest.raises(ValueError, match="an effect is not estimable"):
         tl.formula_model("score ~ mode", frame, groups="person")
+
+
+def test_a_formula_without_effects_says_so():
+    found = tl.formula_model("score ~ 1", drawn(12), groups="person")
+    assert found.apa().endswith("observations) has no effects to test.")
