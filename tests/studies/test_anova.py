@@ -80,7 +80,9 @@ def test_false_positives_at_the_level():
 def test_a_study_without_error_is_named():
     array = draw(11, 8, 3)
     array[7] = 3.0
-    with pytest.raises(ValueError, match="the error variance is zero for condition in study 7"):
+    with pytest.raises(
+        ValueError, match="array: study 7: the error variance is zero for condition "
+    ):
         analysed(array)
 
 

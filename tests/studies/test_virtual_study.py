@@ -137,7 +137,8 @@ def test_analyses_are_those_of_repeated_measures(kept):
     table = kept.table().set_index("measure")
     assert table.loc["p_r", ["F", "p"]].tolist() == [direct.F, direct.p_corrected]
     assert np.isnan(table.loc["laps", "F"])
-    assert "the error variance is zero" in table.loc["laps", "note"]
+    assert table.loc["laps", "note"].startswith("dv: the error variance is zero for condition (")
+    assert [axis.get_ylabel() for axis in kept.plot("p_r")] == ["p_r"]
     assert table.loc["followed_percent", "conditions"] == "C2 C3"
     assert set(table.index) == set(kept.names)
     assert kept.table().attrs["origin"] == "simulated operators"
@@ -247,7 +248,10 @@ def test_a_participant_is_joined_once(kept):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"conditions": ["C1", "C6"]}, "a condition must be one of 'C1', .*, got 'C6'"),
+        (
+            {"conditions": ["C1", "C6"]},
+            "a condition on the ground.robot testbed must be one of 'C1', .*, got 'C6'",
+        ),
         ({"conditions": []}, "conditions must have at least 2 labels"),
         ({"n": 2}, "n must be a whole number, 3 or more"),
         ({"assumptions": {"atention_cost": 0.1}}, "did you mean 'attention_cost'"),
@@ -255,7 +259,7 @@ def test_a_participant_is_joined_once(kept):
             {"conditions": ["M", "OM"], "testbed": "uav_tracking", "laps": None},
             "did you mean 'OMI'",
         ),
-        ({"conditions": ["C1", "M"]}, "a condition must be one of .*, got 'M'"),
+        ({"conditions": ["C1", "M"]}, "a condition on the ground.* must be one of .*, got 'M'"),
     ],
 )
 def test_virtual_study_refuses(arguments, message):

@@ -243,10 +243,11 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
         covariance = regression.covariance(contrasts)
         error = np.trace(covariance, axis1=1, axis2=2)
         for study in np.flatnonzero((error <= d * floor) | ~np.isfinite(error)):
+            where = "dv" if len(scores) == 1 else f"array: study {study}"
             raise ValueError(
-                f"dv or array: the error variance is zero for {effect_name(block, names)} in study "
-                f"{study} (all subjects differ by the same amounts, or not at all), or no number "
-                "holds it: F is not defined"
+                f"{where}: the error variance is zero for {effect_name(block, names)} (all "
+                "subjects differ by the same amounts, or not at all), or no number holds it: F is "
+                "not defined"
             )
         df1, df2, f = d * len(columns), d * design.df_error, ss / len(columns) / error
         shape = sphericity(covariance, design.df_error, floor, residual.shape[2])

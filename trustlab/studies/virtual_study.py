@@ -178,7 +178,8 @@ class VirtualStudy(Result):
         -------
         numpy.ndarray of matplotlib.axes.Axes
         """
-        names = list(self.testbed.measures if measures is None else measures)
+        names = self.testbed.measures if measures is None else measures
+        names = [names] if isinstance(names, str) else list(names)
         title = f"{self.origin}, n = {self.measures['participant'].nunique()}"
         size = (2.5 * len(names), 3.2)
         axes = axes_or_new(None, 1, len(names), title, squeeze=False, figsize=size)[0]
@@ -357,7 +358,7 @@ def _fitting(
             raise ValueError(f"on {bed.title} no rule decides; conditions are names alone")
         bed = replace(bed, rules={**bed.rules, **rules})
     for name in names:
-        one_of("a condition", name, bed.conditions)
+        one_of(f"a condition on {bed.title}", name, bed.conditions)
     return bed, bed.printed_conditions if conditions is None else names, rules
 
 
