@@ -116,11 +116,11 @@ def test_what_a_reader_sees():
             {"between": "group"},
             "between: every group of column 'group', .* needs two complete participants",
         ),
-        (lambda f: f.assign(age=1), {"covariates": "age"}, r"effects of \['age'\] are not defined"),
+        (lambda f: f.assign(age=1), {"covariates": "age"}, r"^covariates: effects of \['age'\]"),
         (
             lambda f: f.assign(age=f.index),
             {"covariates": ["age"]},
-            "subject 0 has several labels in column 'age'",
+            "^covariates: subject 0 has several labels in column 'age'",
         ),
         (
             lambda f: f.assign(age=f["person"].where(f["person"] > 2)),
@@ -139,8 +139,11 @@ def test_a_covariate_has_no_line_in_the_figure_and_adjusts_groups():
     frame = two_way().assign(age=lambda f: 20.0 + (7 * f["person"]) % 11)
     alone = run(frame, covariates="age")
     assert alone.plot().get_legend().get_title().get_text() == "B"
-    one = run(frame[frame["B"] == "b0"], within="A", covariates="age").plot()
-    assert one.get_legend() is None
+    one = run(frame[frame["B"] == "b0"], within="A", covariates="age")
+    assert one.plot().get_legend() is None
+    assert one.apa().startswith("A one-way repeated-measures ANOVA of score with age as a cov")
+    with pytest.raises(ValueError, match=r"without groups or covariates; .* \['A', 'age'\]"):
+        one.friedman()
     row = run(frame, between="group", covariates=["age"]).pairs("group").loc[0]
     people = frame.groupby("person").agg({"score": "mean", "age": "first", "group": "first"})
     x = np.column_stack([people["group"] == "expert", people["age"], np.ones(10)])

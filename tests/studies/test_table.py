@@ -64,7 +64,7 @@ TABLES = {
     "two subjects": (table(n=2), "2 complete subjects with scores in 'score'; at least three"),
     "subjects constant": (
         table().assign(score=np.repeat(0.3 * np.arange(5), 3)),
-        "dv or array: the error variance is zero for mode",
+        "^dv: the error variance is zero for mode ",
     ),
     "a column twice": (
         pd.concat([table(), table()[["mode"]]], axis=1),

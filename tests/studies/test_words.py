@@ -60,6 +60,7 @@ def test_a_table_for_reading():
     frame = pd.DataFrame(
         {
             "a": np.array([0.0, 0.2], dtype=object),
+            "condition": [0.125, 0.25],
             "n": [7, 8],
             "df1": [1.0, 2.0],
             "df2": [21.0, 30.5],
@@ -73,7 +74,8 @@ def test_a_table_for_reading():
     before = frame.copy()
     found = apa_table(frame)
     assert found.to_dict("list") == {
-        "a": [0.0, 0.2],  # a label stays
+        "a": [0.0, 0.2],  # labels stay
+        "condition": [0.125, 0.25],
         "n": [7, 8],
         "df1": ["1", "2"],  # decimals only where there are fractions
         "df2": ["21.00", "30.50"],

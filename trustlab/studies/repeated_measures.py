@@ -97,8 +97,8 @@ class RepeatedMeasures(Tested):
     def _refuse_several_factors(self, name: str) -> None:
         if not self.one_way:
             raise ValueError(
-                f"{name} is for one factor within subjects, without groups; this design has "
-                f"{[*self.within, *self.between]}"
+                f"{name} is for one factor within subjects, without groups or covariates; this "
+                f"design has {[*self.within, *self.between, *self.design.covariates]}"
             )
 
     def descriptives(self) -> pd.DataFrame:
@@ -399,8 +399,9 @@ def _design(
     columns = design.matrix.shape[1]
     if np.linalg.matrix_rank(design.matrix) < columns:
         raise ValueError(
-            f"between: effects of {[*groups, *covariates]} are not defined: some combination of "
-            "groups has no participant, or a covariate follows from them"
+            f"{'covariates' if covariates else 'between'}: effects of {[*groups, *covariates]} are "
+            "not defined: some combination of groups has no participant, or a covariate follows "
+            "from them"
         )
     if design.df_error < 1:
         raise ValueError(

@@ -234,7 +234,10 @@ def read_factors(
             )
     for name in between + covariates:
         for person in labels.index[labels[name] > 1]:
-            raise ValueError(f"between: subject {person!r} has several labels in column {name!r}")
+            argument = "between" if name in between else "covariates"
+            raise ValueError(
+                f"{argument}: subject {person!r} has several labels in column {name!r}"
+            )
     return {name: levels[name] for name in within}, {name: levels[name] for name in between}
 
 

@@ -99,13 +99,14 @@ def apa_table(frame: pd.DataFrame) -> pd.DataFrame:
     ----------
     frame : pandas.DataFrame
         Results; columns p, ``p_…`` and ``mauchly_p…`` hold p-values. What is no column of floats,
-        such as levels, stays as it is.
+        and levels (a, b, level, condition), stay as they are.
         Estimates have as many decimals, at least two, as show two digits of their standard error,
         or else of the interval's half width or the standard deviation; other columns as many as
         show two digits of a typical number.
     """
     table = frame.copy()
-    for name in frame.select_dtypes("float").columns:
+    levels = ["a", "b", "level", "condition"]
+    for name in frame.select_dtypes("float").drop(columns=levels, errors="ignore"):
         values = frame[name].to_numpy()
         if str(name).startswith(("p_", "mauchly_p")) or name == "p":
             texts = [apa_p(value).removeprefix("p ").removeprefix("= ") for value in values]
@@ -184,13 +185,16 @@ def apa_report(result: Any, adjust: str = "holm") -> str:
     one_of("adjust", adjust, _ADJUSTMENTS)
     rows = result.table().to_dict("records")
     sizes = [len(levels) for levels in (*result.between.values(), *result.within.values())]
-    size = "one-way" if result.one_way else " × ".join(map(str, sizes))
+    size = "one-way" if len(sizes) == 1 else " × ".join(map(str, sizes))
+    names = [*result.design.covariates]
+    beside = f" with {listed(names)} as {'covariates' if names[1:] else 'a covariate'}"
     corrected = any(row["correction"] != "none" for row in rows)
     rule = in_words(result.correction_rule) if corrected else ""
     kind = "mixed" if result.between else "repeated-measures"
     effects = "; ".join(effect_text(row, "_corrected", result.alpha) for row in rows)
     text = (
-        f"{mark(result.origin)}A {size} {kind} ANOVA of {result.dv} (N = {result.n}"
+        f"{mark(result.origin)}A {size} {kind} ANOVA of {result.dv}{beside * bool(names)} (N = "
+        f"{result.n}"
         f"{', correction of degrees of freedom: ' * corrected}{rule}): {effects}."
     )
     if result.one_way:

@@ -1,4 +1,4 @@
-# Reference values of tests/studies/analysis/test_factorial.py: published data sets, analysed by afex (aov_car: car's Anova,
+# Reference values of tests/studies/test_factorial.py: published data sets, analysed by afex (aov_car: car's Anova,
 # type III) and emmeans. Run in this folder: Rscript factorial.R    (afex, emmeans, jsonlite, nlme; writes factorial.json)
 suppressPackageStartupMessages({
   library(afex)
