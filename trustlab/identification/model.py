@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import did_you_mean, finite_number, flag, of_class, one_of, shown
+from trustlab.models.checks import Checked, did_you_mean, finite_number, of_class, one_of, shown
 
 # How close to 0 and 1 an unknown in (0, 1) may come during the search.
 UNIT_MARGIN = 1e-9
@@ -83,7 +83,7 @@ COORDINATES = {
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class Model(Checked):
     """
     Equations with unknowns: what `fit` identifies.
 
@@ -150,7 +150,7 @@ class Model:
     low: Sequence[float] = ()
     high: Sequence[float] = ()
     size: Any = ()
-    simulate: Any = None
+    simulate: Callable = None
     starts: Callable | None = None
     inputs: tuple[str, ...] = ("mode",)
     lanes: bool = False
@@ -163,18 +163,14 @@ class Model:
     how_to_get = "build one with trustlab.Model(names, states, outputs, …, simulate=…)"
 
     def __post_init__(self):
+        super().__post_init__()
         for name in ("names", "states", "outputs", "inputs"):
             value = getattr(self, name)
             self._set(name, (value,) if isinstance(value, str) else value, str)
-        for name in ("starts", "build", "check"):
-            function = getattr(self, name)
-            if function is not None and not callable(function):
-                raise ValueError(f"{name} must be a function, got {function!r}")
         for name in ("coordinates", "derived", "hints"):
             of_class(name, getattr(self, name), dict)
-        flag("lanes", self.lanes)
-        if not (self.names and self.outputs and self.inputs and callable(self.simulate)):
-            raise ValueError("a model needs names, outputs, inputs and a function simulate")
+        if not (self.names and self.outputs and self.inputs):
+            raise ValueError("a model needs names, outputs and inputs")
         repeated = [name for name in self.unknowns if self.unknowns.count(name) > 1]
         if repeated:
             raise ValueError(f"a model has two unknowns called {repeated[0]!r}")
@@ -183,13 +179,15 @@ class Model:
             one_of(f"coordinate of {name}", kind, COORDINATES)
         if not callable(self.size):
             self._set("size", self.size, Real, len(self.names))
-        self._set("low", self.low, Real, len(self.unknowns), -np.inf)
-        self._set("high", self.high, Real, len(self.unknowns), np.inf)
+        for side, unbounded in (("low", -np.inf), ("high", np.inf)):
+            count = len(self.unknowns)
+            self._set(side, getattr(self, side), Real, count)
+            self.__dict__[side] = getattr(self, side) or (unbounded,) * count
         for name, (low, high) in self.limits().items():
             if not low < high:
                 raise ValueError(f"{name} needs bounds with low < high, got ({low}, {high})")
 
-    def _set(self, name: str, values: Any, kind: type, size: int = 0, default: Any = None) -> None:
+    def _set(self, name: str, values: Any, kind: type, size: int = 0) -> None:
         """Set a field to a tuple of items of one kind, of this size where it is not empty."""
         sequence = isinstance(values, (list, tuple, np.ndarray))
         if not sequence or not all(isinstance(value, kind) for value in values):
@@ -197,9 +195,7 @@ class Model:
             raise ValueError(f"{name} must be a list of {words}, got {values!r}")
         if size and len(values) not in (0, size):
             raise ValueError(f"{name} must have {size} numbers, got {len(values)}")
-        if default is not None and len(values) == 0:
-            values = (default,) * size
-        object.__setattr__(self, name, tuple(values))
+        self.__dict__[name] = tuple(values)
 
     @property
     def unknowns(self) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.identification.problem import ljung_box, pooled_correlation
+from trustlab.identification.noise import ljung_box, pooled_correlation
 from trustlab.models.checks import counted, one_of, open_unit, whole_number
 from trustlab.models.display import Result
 from trustlab.sessions.plots import shade_manual

@@ -22,7 +22,8 @@ import pandas as pd
 
 from trustlab.identification.log import in_rows
 from trustlab.identification.model import COORDINATES, IdentificationError
-from trustlab.identification.problem import Problem, filter_columns, process
+from trustlab.identification.noise import filter_columns, process
+from trustlab.identification.problem import Problem
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import yerkes_dodson
 

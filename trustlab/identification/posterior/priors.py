@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from trustlab.identification.model import COORDINATES, Coordinate
+from trustlab.identification.noise import HALF_WIDTH
 from trustlab.identification.posterior.density import BETA, SHARED
-from trustlab.identification.problem import HALF_WIDTH
 from trustlab.models.checks import finite_number, of_class, one_of, positive
 from trustlab.models.published import published_models
 

@@ -7,13 +7,13 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
+from trustlab.identification.noise import NOT_WHITE
 from trustlab.identification.posterior.density import (
     SHARED,
     Target,
     simulate,
 )
 from trustlab.identification.posterior.priors import Prior
-from trustlab.identification.problem import NOT_WHITE
 from trustlab.identification.tsc import TSC, build_tsc
 from trustlab.models.checks import open_unit
 from trustlab.models.display import Result

@@ -23,6 +23,7 @@ from scipy import special
 
 from trustlab.identification.log import LogSettings, log_settings, read_runs
 from trustlab.identification.model import COORDINATES, IdentificationError
+from trustlab.identification.noise import whiteness_p
 from trustlab.identification.posterior.density import (
     BETA,
     DELAY,
@@ -55,8 +56,7 @@ from trustlab.identification.posterior.density import (
 )
 from trustlab.identification.posterior.priors import Prior, as_prior
 from trustlab.identification.posterior.result import MOST_K, Posterior
-from trustlab.identification.problem import Optimum, whiteness_p
-from trustlab.identification.search import rough_optima
+from trustlab.identification.problem import Optimum, rough_optima
 from trustlab.identification.tsc import TSC
 from trustlab.models.checks import whole_number, whole_seed
 from trustlab.sessions.session import Session
@@ -368,7 +368,7 @@ def sample_posterior(
     seed : int
         Seed of the draws.
     log : LogSettings, optional
-        How the log shows the model: window, step, mode_delay, stamp_error, robust. Outliers are
+        How the log shows the model: window, mode_delay, stamp_error, robust. Outliers are
         those of the fit, and noise is in the values that windows average or in their means,
         whichever is more likely. Errors of stamps count as one that all switches share.
     **settings : float or bool
@@ -415,7 +415,7 @@ def sample_posterior(
     rng = np.random.default_rng(whole_seed(seed))
     sample, method = sample_target(target, tops_of(target, optima), rng, max(POINTS, 4 * n))
     thetas = to_thetas(resampled(sample, n, rng), target)
-    step = runs[0].step
+    step = runs[0].sample_time
     return Posterior(
         draws=_columns(thetas, target, step),
         prior_draws=_columns(prior_thetas(target, 4000, rng), target, step),
