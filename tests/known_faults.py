@@ -126,12 +126,6 @@ KNOWN = {
     "feasibility": {
         "explain": "foreign errors, anything is taken, no difference",
     },
-    "fit": {
-        "guess": "foreign errors",
-    },
-    "FitResult.plot": {
-        "most": "foreign errors, NaN is taken",
-    },
     "fit_robot": {
         "p_h_max": "NaN is taken",
     },

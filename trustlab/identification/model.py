@@ -7,7 +7,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import Checked, did_you_mean, finite_number, of_class, one_of, shown
+from trustlab.models.checks import (
+    Checked,
+    between,
+    did_you_mean,
+    finite_number,
+    of_class,
+    one_of,
+    shown,
+)
 
 # How close to 0 and 1 an unknown in (0, 1) may come during the search.
 UNIT_MARGIN = 1e-9
@@ -226,25 +234,22 @@ class Model(Checked):
         bounds : mapping, optional
             (low, high) by name; None for an open side.
         """
-        fixed = {} if fixed is None else fixed
-        bounds = {} if bounds is None else bounds
-        for argument, given in (("fixed", fixed), ("bounds", bounds)):
-            if not isinstance(given, Mapping):
-                raise ValueError(f"{argument} must give values by name, got {shown(given)}")
-            self.check_names(given, argument)
-        for name in set(fixed) & set(bounds):
+        given: dict[str, Any] = {"fixed": fixed, "bounds": bounds}
+        given = {name: {} if values is None else values for name, values in given.items()}
+        for argument, values in given.items():
+            if not isinstance(values, Mapping):
+                raise ValueError(f"{argument} must give values by name, got {shown(values)}")
+            self.check_names(values, argument)
+        for name in set(given["fixed"]) & set(given["bounds"]):
             raise ValueError(f"{name} is both fixed and bounded; give one of them")
         limits = {}
         for name, *ends in zip(self.unknowns, self.low, self.high, strict=True):
             coordinate = self.coordinate(name)
             low, high = np.clip(ends, coordinate.low, coordinate.high).tolist()
-            if name in bounds:
-                low, high = _narrowed(name, bounds[name], low, high)
-            if name in fixed:
-                value = finite_number(f"fixed {name}", fixed[name])
-                if not low <= value <= high:
-                    raise ValueError(f"{name} is fixed at {value}, outside ({low:.3g}, {high:.9g})")
-                low = high = value
+            if name in given["fixed"]:
+                low = high = between(f"fixed {name}", given["fixed"][name], low, high)
+            if name in given["bounds"]:
+                low, high = _narrowed(name, given["bounds"][name], low, high)
             limits[name] = (low, high)
         return limits
 
@@ -271,7 +276,7 @@ class Model(Checked):
                     f"({', '.join(self.unknowns)}){did_you_mean(name, self.unknowns)}"
                 )
 
-    def outputs_of(self, run: Any, values: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    def outputs_of(self, run: Any, values: Mapping[str, np.ndarray]) -> tuple:
         """
         Return the simulated outputs of a run, shape (N, L) each.
 
@@ -282,16 +287,12 @@ class Model(Checked):
         values : mapping
             Names and states, shape (L,) each.
         """
-
-        def simulated(**values):
-            outputs = self.simulate(run, **values)
-            return outputs if isinstance(outputs, tuple) else (outputs,)
-
         if self.lanes:
-            return list(simulated(**values))
+            return _as_tuple(self.simulate(run, **values))
         lanes = []
         for row in zip(*values.values(), strict=True):
-            outputs = simulated(**dict(zip(values, map(float, row), strict=True)))
+            lane = dict(zip(values, map(float, row), strict=True))
+            outputs = _as_tuple(self.simulate(run, **lane))
             shapes = [np.shape(output) for output in outputs]
             if shapes != [(run.size,)] * len(self.outputs):
                 raise ValueError(
@@ -299,7 +300,7 @@ class Model(Checked):
                     f"got {' and '.join(map(str, shapes))}"
                 )
             lanes.append(outputs)
-        return [np.column_stack(output).astype(float) for output in zip(*lanes, strict=True)]
+        return tuple(np.column_stack(output).astype(float) for output in zip(*lanes, strict=True))
 
     def useful(self, values: Mapping[str, float]) -> dict[str, float]:
         """
@@ -316,6 +317,11 @@ class Model(Checked):
         return widths | dict(
             size(values) if callable(size) else zip(self.names, size, strict=False)
         )
+
+
+def _as_tuple(outputs: Any) -> tuple:
+    """Return one output or several as a tuple."""
+    return outputs if isinstance(outputs, tuple) else (outputs,)
 
 
 def _narrowed(name: str, pair: tuple, low: float, high: float) -> tuple[float, float]:

@@ -46,10 +46,10 @@ DEPTH = 30.0
 SHALLOW = 30.0
 
 # Distances from rest or full load, in the coordinate of a load, that are tried where one is near.
-NEAR: tuple[float, ...] = (0.0, 0.002, 0.008, 0.02, 0.05)
+NEAR = (0.0, 0.002, 0.008, 0.02, 0.05)
 
 # Shares of the way between them, where means over a window hide it.
-APART: tuple[float, ...] = (0.1, 0.3, 0.5, 0.8)
+APART = (0.1, 0.3, 0.5, 0.8)
 
 
 @njit
@@ -157,13 +157,6 @@ class Problem:
         columns = [c.back(x[..., j]) for j, c in enumerate(self.coordinates)]
         return np.stack(columns, axis=-1)
 
-    def labels(self) -> list[str]:
-        """Return the names in the full vector; states carry the number of their run."""
-        if len(self.runs) == 1:
-            return self.unknowns
-        states = [f"{name}[{i}]" for i in range(len(self.runs)) for name in self.model.states]
-        return [*self.model.names, *states]
-
     @property
     def counts(self) -> np.ndarray:
         """Number of samples that count, by output."""
@@ -179,7 +172,7 @@ class Problem:
         """Return outputs, shape (N, L), of a run in place of run i at L rows of values."""
         columns = dict(zip(self.model.unknowns, rows.T[self.of_run[i]].copy(), strict=True))
         outputs = self.model.outputs_of(run, columns)
-        return outputs if run.window == 1 else [window_means(out, run.window) for out in outputs]
+        return [out if run.window == 1 else window_means(out, run.window) for out in outputs]
 
     def simulated(self, run: Run, i: int, x: np.ndarray) -> list[np.ndarray]:
         """Return the outputs, shape (N,), of a run in place of run i at a full vector."""
@@ -334,14 +327,14 @@ class Optimum:
             return (vectors / roots) @ vectors.T / np.outer(scale, scale)
         # Unknowns with a share in the directions that the data say nothing about.
         unknown = np.abs(vectors[:, singular]).max(axis=1) > 0.25
-        lost = tuple(problem.labels()[j] for j in problem.free[loose[unknown]])
+        lost = tuple(dict.fromkeys(problem.unknowns[j] for j in problem.free[loose[unknown]]))
         cause = "several values explain them equally well"
         if all(np.ptp(run.columns.get("mode", [0.0, 1.0])) == 0.0 for run in problem.runs):
             cause = f"mode never changes within any of the {counted(len(problem.runs), 'run')}"
         raise IdentificationError(
             f"these data do not determine {' and '.join(lost)} ({cause}); record phases "
             "that move the model more, or fix a parameter, for example "
-            f"fixed={{{lost[-1].split('[')[0]!r}: ...}}",
+            f"fixed={{{lost[-1]!r}: ...}}",
             lost,
         )
 
@@ -377,7 +370,7 @@ def search(
     start = np.clip(x, problem.low, problem.high)
     first = problem.equations(start)
     if not np.isfinite(first.deviance + first.matrix.sum()):
-        values = zip(problem.labels(), problem.values(start), strict=True)
+        values = zip(problem.unknowns, problem.values(start), strict=True)
         raise ValueError(
             "the model simulates values that are not finite at "
             f"{', '.join(f'{name} = {value:.4g}' for name, value in values)}; start elsewhere, "
@@ -466,7 +459,11 @@ def rough_optima(
         optima = min(views, key=lambda view: _deviance_with_noise(view[0]))
     if robust:
         optima = _without_outliers(optima, **ROUGH)
-    return _sorted([*optima, *_elsewhere(optima[0])])
+    best, every = optima[0], np.full(optima[0].problem.loads.size, True)
+    for held in _held_elsewhere(best, every, APART) if len(views) > 1 else ():
+        if held.deviance < best.deviance + SHALLOW:
+            optima.append(search(best.problem, held.x, **ROUGH))
+    return _sorted(optima)
 
 
 def _sorted(optima: Iterable[Optimum]) -> list[Optimum]:
@@ -516,27 +513,22 @@ def _deviance_with_noise(optimum: Optimum) -> float:
     return end.deviance
 
 
-def _elsewhere(optimum: Optimum) -> Iterator[Optimum]:
-    """
-    Hold loads elsewhere, search there, and go on with them free.
-
-    Beside rest and full load, where (2.6) bends, the better may lie next to an end; means over a
-    window hide where utilization began.
-    """
-    problem, (ends, inwards) = optimum.problem, ends_of_loads(optimum)
-    tried, shares = np.full(ends.size, True), APART
-    if all(run.window == run.undone for run in problem.runs):
-        tried, shares = np.abs(optimum.x[problem.loads] - ends) < NEAR[-1], NEAR
-    for share in shares if tried.any() else ():
-        there = held_at(optimum, problem.loads[tried], (ends + share * inwards)[tried])
-        if there.deviance < optimum.deviance + SHALLOW:
-            yield search(problem, there.x, **ROUGH)
+def _held_elsewhere(optimum: Optimum, which: np.ndarray, shares: tuple) -> Iterator[Optimum]:
+    """Yield searches with some loads held at shares of the way from their nearer end."""
+    ends, inwards = ends_of_loads(optimum)
+    for share in shares if which.any() else ():
+        yield held_at(optimum, optimum.problem.loads[which], (ends + share * inwards)[which])
 
 
 def best_optimum(optimum: Optimum, robust: bool = True) -> Optimum:
-    """Return the fine optimum at a rough one."""
-    optimum = search(optimum.problem, optimum.x)
-    return _without_outliers([optimum])[0] if robust else optimum
+    """Return the fine optimum at a rough one; beside it where (2.6) bends and that is better."""
+    problem = optimum.problem
+    optimum = search(problem, optimum.x)
+    if robust:
+        (optimum,) = _without_outliers([optimum])
+    near = np.abs(optimum.x[problem.loads] - ends_of_loads(optimum)[0]) < NEAR[-1]
+    held = _sorted(_held_elsewhere(optimum, near, NEAR))[:1]
+    return _sorted([optimum, *(search(problem, best.x) for best in held)])[0]
 
 
 def ends_of_loads(optimum: Optimum) -> tuple[np.ndarray, np.ndarray]:

@@ -219,10 +219,9 @@ def _robot(means: list[Run], limits: Mapping, p_h_max: float, drives: list) -> d
     return {"a": a, "p_min": low, "p_max": high, "p_r0": first, "p_h_max": p_h_max}
 
 
-def _refined(
-    model: Model, means: list[Run], points: list[dict], limits: Mapping, length: int
-) -> list[dict]:
+def _refined(model: Model, points_of: Callable, runs: list[Run], limits: Mapping) -> list[dict]:
     """Search from points on block means, and return the optima that are nearly as good."""
+    means, length = block_means(runs)
     rates = [name for name in model.names if model.coordinates.get(name) == "rate"]
     edges = COORDINATES["rate"]
 
@@ -233,14 +232,14 @@ def _refined(
 
     coarse = over({name: np.array(ends) for name, ends in limits.items()}, length)
     problem = Problem(model, means, coarse)
-    optima = [search(problem, problem.full_vector(p), tolerance=1e-2, most=15) for p in points]
+    at = [problem.full_vector(point) for point in points_of(means, limits, length)]
+    optima = [search(problem, x, tolerance=1e-2, most=15) for x in at]
     return [over(optimum.values(), 1.0 / length) for optimum in distinct(optima, SHALLOW)]
 
 
 def human_starts(runs: list[Run], limits: Mapping) -> list[dict]:
     """Return operators near the best optima of block means."""
-    means, length = block_means(runs)
-    return _refined(HUMAN, means, _operators(means, limits, length), limits, length)
+    return _refined(HUMAN, _operators, runs, limits)
 
 
 def robot_starts(runs: list[Run], limits: Mapping) -> list[dict]:
@@ -250,20 +249,6 @@ def robot_starts(runs: list[Run], limits: Mapping) -> list[dict]:
     p_h_max = low if low == high else joined(runs, "p_h").max()
     robot = _robot(means, limits, p_h_max, [run["p_h"] for run in means])
     return [robot | {"a": robot["a"] ** (1.0 / length)}]
-
-
-def joint_starts(
-    model: Model, human: Mapping, robot: Mapping, runs: list[Run], limits: Mapping
-) -> list[dict]:
-    """Return operators near the best optima of block means, each with the robot that suits it."""
-    means, length = block_means(runs)
-    points = []
-    for operator in _operators(means, _part(human, limits), length):
-        values = {name: np.array([value]) for name, value in operator.items()}
-        drives = [simulate_human(run, **values)[:, 0].copy() for run in means]
-        machine = _robot(means, _part(robot, limits), operator["p_max"], drives)
-        points.append(_joint(robot, machine) | _joint(human, operator))
-    return _refined(model, means, points, limits, length)
 
 
 # --- the models -----------------------------------------------------------------------------------
@@ -303,6 +288,14 @@ def joint_model(human: Mapping[str, str], robot: Mapping[str, str], names: Itera
         p_h = simulate_human(run, **_part(human, values))
         return p_h, simulate_robot(run, **_part(robot, values), p_h=p_h)
 
+    def points(means, limits, length):
+        """Yield operators, each with the robot that suits it."""
+        for operator in _operators(means, _part(human, limits), length):
+            values = {name: np.array([value]) for name, value in operator.items()}
+            drives = [simulate_human(run, **values)[:, 0].copy() for run in means]
+            machine = _robot(means, _part(robot, limits), operator["p_max"], drives)
+            yield _joint(robot, machine) | _joint(human, operator)
+
     def gain(**values):
         return gain_of_human_performance(
             *(values[robot[n]] for n in ("a", "p_min", "p_max", "p_h_max"))
@@ -323,7 +316,7 @@ def joint_model(human: Mapping[str, str], robot: Mapping[str, str], names: Itera
         hints=_joint(human, HINTS) | _joint(robot, HINTS),
         check=partial(_check, robot),
     )
-    return replace(model, starts=partial(joint_starts, model, human, robot))
+    return replace(model, starts=partial(_refined, model, points))
 
 
 HUMAN = Model(
