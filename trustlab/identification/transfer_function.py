@@ -92,7 +92,7 @@ def transfer_model(order: int, sample_time: float) -> Model:
             # With the gain that suits the command's response best.
             parts = [_responses(d, run["command"], sample_time)[:, 0] for run in runs]
             response = np.concatenate(parts)
-            gain = response @ velocity / max(response @ response, 1e-300)
+            gain = float(np.linalg.lstsq(response[:, None], velocity)[0][0])
             values = {"gain": gain, **dict(zip(denominator, d, strict=True)), **first}
             ways.append((np.sum((velocity - gain * response) ** 2), values))
         return [values for _, values in sorted(ways, key=lambda way: way[0])[:STARTS]]
