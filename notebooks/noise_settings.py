@@ -12,10 +12,8 @@ import numpy as np
 import pandas as pd
 
 import trustlab as tl
-from trustlab.identification.fit import estimate_table, weak_names
-from trustlab.identification.log import LogSettings, read_runs
+from trustlab.identification.log import read_runs
 from trustlab.identification.problem import Problem
-from trustlab.identification.search import estimate_runs
 from trustlab.identification.tsc import TSC
 from trustlab.sessions.metrics import window_mean
 
@@ -182,7 +180,7 @@ SETTINGS: dict[str, tuple[Callable, dict]] = {
     "correlated over 50 s": (correlated, {}),
     "process noise": (process, {}),
     "quantised at 0.01": (quantised, {}),
-    "logged at 1 Hz": (one_hertz, {"step": 0.1, "mode_delay": True, "stamp_error": 0.29}),
+    "logged at 1 Hz": (one_hertz, {"mode_delay": True, "stamp_error": 0.29}),
     "mode stamped 1 s early": (lambda rng: white(rng, clean(late=1.0)), {"mode_delay": True}),
     "mode stamped 1 s late": (lambda rng: white(rng, clean(late=-1.0)), {"mode_delay": True}),
     "dropouts to 0": (dropouts, {}),
@@ -245,10 +243,10 @@ def before(session: tl.Session) -> tuple[bool, pd.DataFrame]:
     Fit without windows, outliers and diagnosis but of weak parameters, with errors that allow for
     autocorrelation.
     """
-    runs = read_runs(session, "mode", "p_h", "p_r", log=LogSettings(window=0.0, stamp_error=0.0))
-    estimate = estimate_runs(TSC, runs, TSC.limits(), "hac", robust=False)
-    table = estimate_table(estimate)[0]
-    success = estimate.optimum.converged and not weak_names(estimate, table)
+    fit = tl.fit_tsc(session, noise="hac", window=0.0, stamp_error=0.0, robust=False)
+    table = fit.parameters
+    determined = not table["status"].isin(["weak", "at bound"]).any()
+    success = determined and "do not use the numbers" not in fit.message
     return success, table.assign(ci_high=table["value"] + 1.96 * table["stderr"])
 
 
@@ -272,8 +270,8 @@ def covers(seed: np.random.SeedSequence, setting: str) -> dict[str, float]:
     row = {f"{way} {what}": np.nan for way in WAYS for what in ("success", "half", *TRUTH)}
     for way, fit in ways.items():
         expected = truth()
-        if setting == "logged at 1 Hz" and way != "options":
-            # Without a step of its own the rates belong to the log's.
+        if setting == "logged at 1 Hz":
+            # Rates belong to the log's sample time.
             expected[["human_a", "robot_a"]] **= 10
         row[f"{way} success"] = 0.0
         try:

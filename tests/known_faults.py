@@ -117,12 +117,6 @@ KNOWN = {
     "estimate_thresholds": {
         "sessions": "foreign errors",
     },
-    "fit": {
-        "guess": "foreign errors",
-    },
-    "FitResult.plot": {
-        "most": "foreign errors, NaN is taken",
-    },
     "fit_robot": {
         "p_h_max": "NaN is taken",
     },

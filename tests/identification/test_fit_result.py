@@ -9,7 +9,7 @@ from statsmodels.tsa.stattools import acf
 
 import trustlab as tl
 from tests.identification import cases
-from trustlab.identification.problem import hac_matrix, pooled_correlation
+from trustlab.identification.noise import hac_matrix, pooled_correlation
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ the dense covariance for the Kalman filter; `with_performance` of the sessions' 
 window.
 """
 
+import importlib
 import re
 
 import numpy as np
@@ -29,8 +30,8 @@ from tests.identification.cases import (
 )
 from trustlab.identification import TSC
 from trustlab.identification.log import read_runs, undo_window, window_means
-from trustlab.identification.problem import Noise, Problem, whiten
-from trustlab.identification.search import _deviance_with_noise, rough_optima
+from trustlab.identification.noise import Noise, whiten
+from trustlab.identification.problem import Problem, _deviance_with_noise, rough_optima
 from trustlab.sessions.metrics import window_mean
 
 STORED = ROOT / "data" / "coverage" / "fits.csv"
@@ -230,9 +231,10 @@ def test_stamps_that_are_not_exact_widen_the_intervals():
 
 
 def test_errors_of_many_stamps_are_worked_out_for_some_of_them(monkeypatch):
+    module = importlib.import_module("trustlab.identification.fit")
     noisy, errors = session(np.repeat([1.0, 0.0] * 60, 100)), []
     for most in (10_000, 35):
-        monkeypatch.setattr("trustlab.identification.search.SWITCHES", most)
+        monkeypatch.setattr(module, "SWITCHES", most)
         errors.append(tl.fit_human(noisy, stamp_error=0.3).table()["stderr"])
     assert not errors[0].equals(errors[1])
     np.testing.assert_allclose(errors[1], errors[0], rtol=0.05)
@@ -311,15 +313,14 @@ def test_settings_cover_the_truth_or_say_that_they_do_not(setting):
     assert shortfall(rows.assign(setting=setting)).empty
 
 
-@pytest.mark.parametrize(("every", "options"), [(2, {}), (10, {}), (10, {"step": 0.1})])
-def test_rates_belong_to_the_step_and_tables_say_so(every, options):
+@pytest.mark.parametrize("every", [2, 10])
+def test_rates_belong_to_the_sample_time_and_tables_say_so(every):
     """Oracle: the operator of 10 Hz, whose time constants do not hang on how often one looks."""
     fine = session()
-    fit = tl.fit_tsc(tl.Session(fine.data.iloc[::every], fine.metadata), **options)
+    fit = tl.fit_tsc(tl.Session(fine.data.iloc[::every], fine.metadata))
     assert fit.success, fit.message
     table = fit.table()
-    step = options.get("step", 0.1 * every)
-    assert table.loc[["human_a", "robot_a"], "unit"].eq(f"per {step:g} s").all()
+    assert table.loc[["human_a", "robot_a"], "unit"].eq(f"per {0.1 * every:g} s").all()
     for name, own in (("human", PILOT.human), ("robot", PILOT.robot)):
         row = table.loc[f"{name}_time_constant"]
         assert row["unit"] == "s"

@@ -2,14 +2,12 @@
 `fit`: a model identified from sessions, and what to say of it.
 
 1. Sessions become `Run`s, and the model what the log shows of it (log.py).
-2. The model gives starts, from block means (tsc.py); a rough search goes from each, and samples far
-   from the model are left out (search.py: `rough_optima`, `robust_search`).
-3. From the best a fine search; the noise of its residuals is modelled, and the search goes on
-   (`estimated`).
-4. The covariance: of noise, of errors of the mode's stamps, of states at a bound.
-5. Here: the table, what is weak, remarks, and doubts.
-
-The likelihood of one point is problem.py's.
+2. The model gives starts, from block means (tsc.py); a rough search goes from each, samples far
+   from the model are left out, and a fine search goes on from the best (problem.py).
+3. The noise of its residuals is modelled (noise.py), and the search goes on.
+4. The covariance: of noise, of errors of the mode's stamps, of states at a bound; in coordinates of
+   the search, in which the likelihood is most nearly Gaussian.
+5. The table, what is weak, remarks, and doubts.
 
 Remarks tell what a reader should know; doubtful are a mode stamped early or late, coarse numbers,
 slow noise, and other values that explain the data as well.
@@ -17,8 +15,9 @@ slow noise, and other values that explain the data as well.
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -26,19 +25,54 @@ import pandas as pd
 from trustlab.identification.log import (
     LogSettings,
     Run,
+    delayed,
     joined,
     log_settings,
-    logged_model,
     read_runs,
     undo_window,
     window_means,
 )
 from trustlab.identification.model import IdentificationError, Model
-from trustlab.identification.problem import HALF_WIDTH, NOT_WHITE, Problem, hac_lags
+from trustlab.identification.noise import (
+    HALF_WIDTH,
+    NOT_WHITE,
+    Noise,
+    hac_lags,
+    hac_matrix,
+    whiten,
+    whiteness_p,
+)
+from trustlab.identification.problem import (
+    Optimum,
+    Problem,
+    best_optimum,
+    distinct,
+    ends_of_loads,
+    held_at,
+    rough_optima,
+    search,
+)
 from trustlab.identification.result import FitResult, RunFit
-from trustlab.identification.search import NOISES, Estimate, estimate_runs
 from trustlab.models.checks import counted, of_class, one_of
 from trustlab.sessions.session import Session
+
+NOISES = ("auto", "white", "correlated", "hac")
+
+# Deviance above the least up to which a single value lies in its 95 % interval: 1.96².
+LIKELY = 3.84
+
+# Switches of mode per session beyond which errors of their stamps are worked out for a sample.
+SWITCHES = 40
+
+# Other optima within this deviance of the best still count as possible: odds of e⁵ to 1.
+RIVAL = 10.0
+
+# Standard errors from which on a delay counts: a false alarm in a thousand sound fits.
+CERTAIN = 3.3
+
+# Least length of a record in correlation times of its noise: below, intervals of simulated fits
+# with process noise cover too rarely.
+STRETCHES = 200
 
 
 def fit(
@@ -47,7 +81,6 @@ def fit(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple] | None = None,
     noise: str = "auto",
-    guess: Mapping[str, float] | None = None,
     log: LogSettings | None = None,
     **settings: Any,
 ) -> FitResult:
@@ -70,10 +103,8 @@ def fit(
         filter; process noise of a first-order state looks the same. "hac": any autocorrelation that
         dies out (Newey–West), in the standard errors only. "auto" starts with the first, and it as
         well as "correlated" moves on to the next where a Ljung–Box test at 0.001 rejects it.
-    guess : mapping, optional
-        Starting values by name, in place of the model's own.
     log : LogSettings, optional
-        How the log shows the model: window, step, mode_delay, stamp_error, robust.
+        How the log shows the model: window, mode_delay, stamp_error, robust.
     **settings : float or bool
         Fields of `LogSettings` as keywords; they replace those of `log`.
 
@@ -104,18 +135,13 @@ def fit(
     runs = read_runs(sessions, *dict.fromkeys((*model.inputs, *model.outputs)), log=log)
     # The values themselves drive the model, not their means over a window.
     driving = {"p_h", "p_r"} & set(model.inputs)
-    runs = [run.changed({n: undo_window(run[n], run.window) for n in driving}) for run in runs]
-    model = logged_model(model, runs[0].sample_time, log)
-    return fit_runs(model, runs, noise, model.limits(fixed, bounds), guess, log.robust)
+    runs = [run.mapped(driving, undo_window) for run in runs]
+    model = delayed(model) if log.mode_delay else model
+    return fit_runs(model, runs, noise, model.limits(fixed, bounds), log.robust)
 
 
 def fit_runs(
-    model: Model,
-    runs: list[Run],
-    noise: str,
-    limits: Mapping,
-    guess: Mapping[str, float] | None = None,
-    robust: bool = True,
+    model: Model, runs: list[Run], noise: str, limits: Mapping, robust: bool = True
 ) -> FitResult:
     """Identify a model from arrays; refuse data that cannot identify it, before any search."""
     one_of("noise", noise, NOISES)
@@ -129,7 +155,210 @@ def fit_runs(
                 "identified; record a session in which it is measured",
                 model.names,
             )
-    return result_of(estimate_runs(model, runs, limits, noise, guess, robust))
+    optima = rough_optima(model, runs, limits, robust)
+    optimum = best_optimum(optima[0], robust)
+    problem = optimum.problem
+    simple_p = last_p = whiteness_of(optimum)
+    if noise == "correlated" or (noise == "auto" and simple_p < NOT_WHITE):
+        # The noise belongs to the residuals, and these to the estimates: three rounds settle both.
+        for _ in range(3):
+            problem.fit_noise(optimum.x)
+            optimum = search(problem, optimum.x)
+        last_p = whiteness_of(optimum)
+    sandwiched = noise == "hac" or (noise != "white" and last_p < NOT_WHITE)
+    inverse = optimum.inverse_information()
+    delay = mode_delay(optimum, sandwiched)
+    estimate = Estimate(
+        optimum,
+        distinct(optima, RIVAL),
+        covariance_of(optimum, inverse, sandwiched, delay),
+        simple_p,
+        sandwiched,
+        delay,
+    )
+    return result_of(estimate)
+
+
+class ModeDelay(NamedTuple):
+    """
+    Delay of the mode behind its stamp [s], as residuals show it.
+
+    `shift` is the change of the loose unknowns per second of delay.
+    """
+
+    value: float
+    stderr: float
+    shift: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """
+    The best optimum with covariance and diagnostics.
+
+    `rivals` are the best of the rough optima and others nearly as likely; `covariance` is that of
+    the values: 0 in rows of fixed unknowns and NaN in rows of those at a bound. `simple_p` is the p
+    value of the whiteness test before the noise was modelled; `sandwiched` says that the covariance
+    allows for remaining correlation.
+    """
+
+    optimum: Optimum
+    rivals: list[Optimum]
+    covariance: np.ndarray
+    simple_p: float
+    sandwiched: bool
+    delay: ModeDelay
+
+    @property
+    def problem(self) -> Problem:
+        """The problem that is solved."""
+        return self.optimum.problem
+
+    @property
+    def values(self) -> np.ndarray:
+        """The values of the full vector."""
+        return self.problem.values(self.optimum.x)
+
+    @property
+    def stderr(self) -> np.ndarray:
+        """Standard errors of the full vector; NaN for what is fixed or held by a bound."""
+        fixed = self.problem.low == self.problem.high
+        return np.sqrt(np.where(fixed, np.nan, np.diag(self.covariance)))
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard deviation √(Σ e²/(n − p)) by output; p is shared out over the outputs."""
+        counts = self.problem.counts
+        freedom = np.maximum(counts - self.optimum.loose.size / counts.size, 1.0)
+        return np.sqrt(self.problem.equations(self.optimum.x).squares / freedom)
+
+
+def whiteness_of(optimum: Optimum) -> float:
+    """Return the least p value of the Ljung–Box tests of all outputs ([S] Section 11.2)."""
+    problem = optimum.problem
+    pairs = zip(problem.exact(optimum.x), problem.whitened(), strict=True)
+    return min(1.0 if exact else whiteness_p(errors) for exact, errors in pairs)
+
+
+# --- the covariance -------------------------------------------------------------------------------
+
+
+def covariance_of(
+    optimum: Optimum, inverse: np.ndarray, sandwiched: bool, delay: ModeDelay
+) -> np.ndarray:
+    """Return the covariance of the values of the full vector; `inverse` is of the information."""
+    problem, x, loose = optimum.problem, optimum.x, optimum.loose
+    # For white residuals the covariance is the inverse information ([L] Section 9.4, [S] Section
+    # 7.5); else that is the bread of a sandwich. Residuals are too small by (n − p)/n on average:
+    # the factor makes the white form s² (JᵀJ)⁻¹ with s² = Σ e²/(n − p), and the robust one HC1 of
+    # MacKinnon & White 1985 (Stata's newey).
+    samples = problem.counts.sum()
+    factor = samples / max(samples - loose.size, 1.0)
+    meat = long_run(problem, x)[np.ix_(loose, loose)] if sandwiched else None
+    block = factor * (inverse if meat is None else inverse @ meat @ inverse)
+    block += _of_stamps(optimum, inverse)
+    if any(run.stamp_error > 0.0 for run in problem.runs):
+        # Stamps that are not exact may share an error, too: of any size that the residuals allow.
+        square = delay.value**2 + delay.stderr**2
+        block += square * np.outer(delay.shift, delay.shift)
+    # d(value)/dx by a complex step, which is exact to rounding.
+    slopes = np.imag(problem.values(x + 1e-100j)) / 1e-100
+    places = problem.free[loose]
+    covariance = np.zeros((x.size, x.size))
+    covariance[optimum.at_bound, :] = covariance[:, optimum.at_bound] = np.nan
+    covariance[np.ix_(places, places)] = block * np.outer(slopes[places], slopes[places])
+    shift = _shift_of_states(optimum)
+    return covariance + np.outer(shift, shift) / LIKELY
+
+
+def long_run(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """Return the long-run covariance of the likelihood's scores, summed over runs."""
+    weights = problem.equations(x).weights
+    lags = max(map(hac_lags, problem.whitened()))
+    total = np.zeros((problem.free.size,) * 2)
+    for of_run in problem.series:
+        pairs = zip(weights, of_run, strict=True)
+        scores = sum(weight * s.white[:, 1:] * s.white[:, :1] for weight, s in pairs)
+        places = of_run[0].places[1:] - 1
+        total[np.ix_(places, places)] += hac_matrix(scores, lags)
+    return total
+
+
+def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
+    """Return the covariance due to independent errors of the mode's stamps."""
+    problem, x = optimum.problem, optimum.x
+    weights = problem.equations(x).weights
+    added = np.zeros(inverse.shape)
+    for i, run in enumerate(problem.runs):
+        mode = run.columns.get("mode", np.zeros(1))
+        switches = np.flatnonzero(np.diff(mode > 0.5)) + 1
+        if run.stamp_error == 0.0 or switches.size == 0:
+            continue
+        # Neighbours add about the same: of thousands of switches some stand for all.
+        chosen = switches[:: 1 + switches.size // SWITCHES]
+        before = problem.simulated(run, i, x)
+        for k in chosen:
+            # One switch a sample later, and what the estimates make of it.
+            moved = mode.copy()
+            moved[k] = mode[k - 1]
+            after = problem.simulated(run.changed({"mode": moved}), i, x)
+            answer = np.zeros(problem.free.size)
+            for j, series in enumerate(problem.series[i]):
+                change = ((after[j] - before[j]) * series.known)[:, None] / run.sample_time
+                seen = whiten(change, series.known, problem.noise[j])[0][:, 0]
+                answer[series.places[1:] - 1] += weights[j] * series.white[:, 1:].T @ seen
+            shift = run.stamp_error * inverse @ answer[optimum.loose]
+            added += np.outer(shift, shift) * switches.size / chosen.size
+    return added
+
+
+def mode_delay(optimum: Optimum, sandwiched: bool) -> ModeDelay:
+    """Return the delay of the mode that the residuals show, to first order; 0 if they cannot."""
+    problem, names = optimum.problem, optimum.problem.model.names
+    none = ModeDelay(0.0, 0.0, np.zeros(optimum.loose.size))
+    if "mode" not in problem.model.inputs or "mode_delay" in names:
+        return none
+    # The same problem with the delay as one more unknown, at the same point.
+    late = problem.alike(delayed(problem.model), {"mode_delay": (-np.inf, np.inf)})
+    there = Optimum(late, np.insert(optimum.x, len(names), 0.0), True, 0)
+    try:
+        inverse = there.inverse_information()
+    except IdentificationError:
+        return none
+    at = late.equations(there.x)
+    gradient = at.root.T @ at.residual
+    place = np.searchsorted(late.free[there.loose], len(names))
+    spread = inverse
+    if sandwiched:
+        meat = long_run(late, there.x)[np.ix_(there.loose, there.loose)]
+        spread = inverse @ meat @ inverse
+    # What of the delay's effect the estimates imitate moves them; the rest tells of it.
+    shift = np.delete(inverse[place], place) / inverse[place, place]
+    value = -inverse[place] @ gradient[there.loose]
+    return ModeDelay(float(value), float(np.sqrt(spread[place, place])), shift)
+
+
+def _shift_of_states(optimum: Optimum) -> np.ndarray:
+    """
+    Return how far the values move if loads leave their end as far as data allow.
+
+    They are moved together, equally far in their coordinates, and the rest is estimated again (the
+    profile of the likelihood), up to a deviance `LIKELY` above the least.
+    """
+    problem, (ends, inwards) = optimum.problem, ends_of_loads(optimum)
+    held = optimum.at_bound[problem.loads]
+    likely = optimum
+    near, far = 1e-4, 1.0
+    # Bisect the share of the way to the other end, on a logarithmic scale.
+    for _ in range(7 if held.any() and not problem.exact(optimum.x).all() else 0):
+        share = np.sqrt(near * far)
+        there = held_at(optimum, problem.loads[held], (ends + share * inwards)[held])
+        if there.deviance < optimum.deviance + LIKELY:
+            near, likely = share, there
+        else:
+            far = share
+    problem.equations(optimum.x)
+    return problem.values(likely.x) - problem.values(optimum.x)
 
 
 # --- from an estimate to the tables ---------------------------------------------------------------
@@ -137,52 +366,55 @@ def fit_runs(
 
 def result_of(estimate: Estimate) -> FitResult:
     """Put an estimate and its tables into a FitResult; weak unknowns are marked here."""
-    problem = estimate.problem
+    problem, optimum = estimate.problem, estimate.optimum
     model, shared = problem.model, len(problem.model.names)
     table, covariance = estimate_table(estimate)
-    weak = weak_names(estimate, table)
-    reasons = list(doubts(estimate))
-    marks = list(_mark(weak, table, model.hints))
-    steps = estimate.optimum.steps
-    search = f"Converged in {counted(steps, 'evaluation')}."
-    if not estimate.optimum.converged:
-        search = f"Stopped after {steps} evaluations without a minimum; do not use the numbers."
+    marks = list(_mark(table, model))
+    doubts = (_coarse, _delay_warning, _slow, _rivals)
+    exact = problem.exact(optimum.x).any()
+    reasons = [] if exact else [text for doubt in doubts for text in doubt(estimate)]
+    search = f"Converged in {counted(optimum.steps, 'evaluation')}."
+    if not optimum.converged:
+        search = (
+            f"Stopped after {optimum.steps} evaluations without a minimum; do not use the numbers."
+        )
     sentences = [search, *marks, *remarks(estimate), *reasons]
-    if (weak or reasons) and "p_h" in model.outputs:
+    if (marks or reasons) and "p_h" in model.outputs:
         sentences.append("trustlab.sample_posterior says what mode, p_h and p_r do determine.")
     states = {}
     for j, name in enumerate(model.states):
         column = slice(shared + j, None, len(model.states))
         states[name], states[f"{name}_stderr"] = estimate.values[column], estimate.stderr[column]
-    labels = pd.Index([run.label for run in problem.runs], name="run")
+    modelled = any(noise != Noise() for noise in problem.noise)
     return FitResult(
-        model=_model(estimate, weak, [*marks, *reasons]),
+        model=_model(model, table["value"], [*marks, *reasons]),
         parameters=table,
         covariance=covariance,
-        initial_states=pd.DataFrame(states, index=labels),
+        initial_states=pd.DataFrame(
+            states, index=pd.Index([run.label for run in problem.runs], name="run")
+        ),
         runs=list(_run_fits(estimate)),
-        noise=estimate.noise,
+        noise="correlated" if modelled else "hac" if estimate.sandwiched else "white",
         sigma=dict(zip(model.outputs, estimate.sigma.tolist(), strict=True)),
-        cost=0.5 * float(estimate.optimum.equations.squares.sum()),
-        success=bool(estimate.optimum.converged and not weak and not reasons),
+        cost=0.5 * float(problem.equations(optimum.x).squares.sum()),
+        success=bool(optimum.converged and not marks and not reasons),
         message=" ".join(sentences),
-        degrees_of_freedom=estimate.degrees_of_freedom,
+        degrees_of_freedom=float(problem.counts.sum() - optimum.loose.size),
     )
 
 
 def estimate_table(estimate: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the table of the names, derived rows included, and the covariance of the estimated."""
-    model, names = estimate.problem.model, estimate.problem.model.names
-    values, stderr = estimate.values[: len(names)], estimate.stderr[: len(names)]
-    covariance = estimate.covariance[: len(names), : len(names)]
+    problem, model, names = estimate.problem, estimate.problem.model, estimate.problem.model.names
+    values, count = estimate.values[: len(names)], len(names)
     status = np.where(estimate.optimum.at_bound, "at bound", "estimated")
-    status = np.where(estimate.fixed, "fixed", status)[: len(names)]
-    free = status == "estimated"
-    rows = list(zip(values.tolist(), stderr.tolist(), status.tolist(), strict=True))
-    known = np.nan_to_num(covariance)
-    step = estimate.problem.runs[0].step
+    status = np.where(problem.low == problem.high, "fixed", status)[:count]
+    index = pd.Index(names, name="parameter")
+    table = pd.DataFrame({"value": values, "stderr": estimate.stderr[:count]}, index)
+    table["status"] = status
+    step = problem.runs[0].sample_time
     derived = dict(model.derived)
-    units = dict.fromkeys(names, "") | {"mode_delay": "s"}
+    units = {"mode_delay": "s"}
     for name in names:
         if model.coordinates.get(name) == "rate":
             units[name] = f"per {step:g} s"
@@ -190,17 +422,15 @@ def estimate_table(estimate: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
             prefix = name[:-1] if f"_{name}".endswith("_a") else f"{name}_"
             longer = f"{prefix}time_constant"
             derived[longer], units[longer] = partial(_time_constant, name, step), "s"
-    for function in derived.values():
-        value, slope = _gradient(function, names, values)
+    covariance, free = estimate.covariance[:count, :count], status == "estimated"
+    for name, function in derived.items():
+        value, slope = _with_slopes(function, names, values)
         # NaN where nothing that the row depends on was estimated.
-        error = float(np.sqrt(slope @ known @ slope)) if slope[free].any() else np.nan
-        rows.append((value, error, "derived"))
-    index = pd.Index([*names, *derived], name="parameter")
-    table = pd.DataFrame(rows, index=index, columns=["value", "stderr", "status"])
-    table["unit"] = [units.get(name, "") for name in index]
-    labels = index[: len(names)][free].rename(None)
-    block = covariance[np.ix_(free, free)]
-    return table, pd.DataFrame(block, index=labels, columns=labels)
+        error = np.sqrt(slope @ np.nan_to_num(covariance) @ slope) if slope[free].any() else np.nan
+        table.loc[name] = [value, float(error), "derived"]
+    table["unit"] = [units.get(name, "") for name in table.index]
+    labels = index[free].rename(None)
+    return table, pd.DataFrame(covariance[np.ix_(free, free)], labels, labels)
 
 
 def _time_constant(name: str, step: float, /, **values: Any) -> Any:
@@ -208,83 +438,61 @@ def _time_constant(name: str, step: float, /, **values: Any) -> Any:
     return -step / np.log(values[name])
 
 
-def _gradient(function: Callable, names: tuple, values: np.ndarray) -> tuple[float, np.ndarray]:
+def _with_slopes(function: Callable, names: tuple, values: np.ndarray) -> tuple:
     """Return a function of estimates by name, and its derivatives by complex steps."""
-    at = dict(zip(names, values.tolist(), strict=True))
     # f(x + ih) = f(x) + ih f'(x) + O(h²) involves no difference of like numbers, so h may be as
     # small as one likes, and the derivative is exact to rounding.
-    step = 1e-100
-    slopes = [
-        np.imag(function(**at | {name: value + 1j * step})) / step for name, value in at.items()
-    ]
-    return float(function(**at)), np.array(slopes)
+    moved = values + 1e-100j * np.eye(values.size)
+    at = [dict(zip(names, row, strict=True)) for row in [values, *moved]]
+    value, *others = (function(**{n: x[n] for n in x if n != "mode_delay"}) for x in at)
+    return float(value), np.imag(others) / 1e-100
 
 
-def weak_names(estimate: Estimate, table: pd.DataFrame) -> list[str]:
-    """Return the names at a bound, or with a 95 % interval too wide to be of use."""
-    model = estimate.problem.model
+def _mark(table: pd.DataFrame, model: Model) -> Iterator[str]:
+    """Mark names with a 95 % interval too wide to be of use, and say what would help."""
     useful = model.useful(table["value"].to_dict())
-    rows = table.iloc[: len(model.names)]
-    wide = HALF_WIDTH * rows["stderr"] > [useful[name] for name in rows.index]
-    return list(rows.index[wide | (rows["status"] == "at bound")])
-
-
-def _mark(weak: list[str], table: pd.DataFrame, hints: Mapping[str, str]) -> Iterator[str]:
-    """Mark weak unknowns in the table and say what would help."""
-    for name in weak:
-        value, stderr = table["value"][name], table["stderr"][name]
-        if table["status"][name] == "at bound":
+    for name in model.names:
+        value, stderr, status = table.loc[name, ["value", "stderr", "status"]]
+        half = HALF_WIDTH * stderr
+        if status == "at bound":
             yield (
                 f"{name} is at its bound, {value:.6g}: the fit is better beyond it, or "
                 "these data do not determine it."
             )
-        else:
+        elif half > useful[name]:
             table.loc[name, "status"] = "weak"
-            hint = hints.get(name, "record phases that move the model more")
+            hint = model.hints.get(name, "record phases that move the model more")
             yield (
-                f"{name} is weakly determined by these data ({value:.4g} ± "
-                f"{HALF_WIDTH * stderr:.2g}); {hint}, or fix it."
+                f"{name} is weakly determined by these data ({value:.4g} ± {half:.2g}); {hint}, "
+                "or fix it."
             )
 
 
-def _model(estimate: Estimate, weak: list[str], sentences: list[str]) -> Any:
+def _model(model: Model, values: pd.Series, sentences: list[str]) -> Any:
     """Return the model's object, or say with the error what else is wrong with the data."""
-    model = estimate.problem.model
-    values = dict(zip(model.names, estimate.values.tolist(), strict=False))
+    estimates = {name: values[name] for name in model.names if name != "mode_delay"}
     if model.build is None:
-        return values
+        return estimates
     try:
-        return model.build(**values)
+        return model.build(**estimates)
     except IdentificationError as error:
         text = " ".join([f"{error}.", *sentences])
-        raise IdentificationError(text, tuple(weak) or error.parameters) from error
+        raise IdentificationError(text, error.parameters) from error
 
 
 def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
     """Put every run beside its fitted outputs and prediction errors."""
     problem = estimate.problem
     outputs, model = problem.model.outputs, problem.model
-    for i, (run, of_run) in enumerate(zip(problem.runs, problem.by_run(), strict=True)):
+    for i, (run, of_run) in enumerate(zip(problem.runs, problem.series, strict=True)):
         simulated = problem.simulated(run, i, estimate.optimum.x)
-        if run.window > 1:
-            simulated = [window_means(values, run.window) for values in simulated]
-        yield RunFit(
-            run.label,
-            run.synthetic,
-            run.t,
-            inputs={name: run[name] for name in model.inputs},
-            measured={name: run[name] for name in outputs},
-            fitted=dict(zip(outputs, simulated, strict=True)),
-            errors={outputs[s.output]: s.white[:, 0].copy() for s in of_run},
-        )
-
-
-# Standard errors from which on a delay counts: a false alarm in a thousand sound fits.
-CERTAIN = 3.3
-
-# Least length of a record in correlation times of its noise: below, intervals of simulated fits
-# with process noise cover too rarely.
-STRETCHES = 200
+        # Values that the log has as means are shown as it has them.
+        pairs = zip(of_run, simulated, strict=True)
+        shown = [[window_means(y, run.undone) for y in (s.measured, out)] for s, out in pairs]
+        measured, fitted = (dict(zip(outputs, y, strict=True)) for y in zip(*shown, strict=True))
+        inputs = {name: run[name] for name in model.inputs}
+        errors = {name: s.white[:, 0].copy() for name, s in zip(outputs, of_run, strict=True)}
+        yield RunFit(run.label, run.synthetic, run.t, inputs, measured, fitted, errors)
 
 
 # --- remarks --------------------------------------------------------------------------------------
@@ -292,53 +500,32 @@ STRETCHES = 200
 
 def remarks(estimate: Estimate) -> Iterator[str]:
     """Say what a reader should know of the data and of what the intervals allow for."""
-    problem = estimate.problem
-    yield from _initial_states(estimate)
-    people = {run.participant for run in problem.runs}
-    if len(people) > 1:
-        yield (
-            f"{len(people)} participants share one set of parameters; fit them one by one "
-            "unless that is meant."
-        )
-    windows = sorted({run.window * run.sample_time for run in problem.runs if run.window > 1})
-    if windows:
-        where = "in the values that are averaged" if problem.unwindow else "in the means"
-        spans = " and ".join(f"{window:g} s" for window in windows)
-        yield (
-            f"The outputs are fitted as means over a moving window of {spans}, with noise {where}."
-        )
-    trials = [run["mode"] for run in problem.runs if "mode" in problem.model.inputs]
-    if len(trials) > 1 and all(np.ptp(mode) == 0.0 for mode in trials):
-        yield f"Mode never changes within any of the {len(trials)} runs."
-    if "p_h" in problem.model.inputs:
-        yield (
-            "The measured p_h drives the model, and its noise counts as performance: where that is "
-            "large, the effect of p_h is underrated."
-        )
-    yield from _dropouts(problem)
-    yield from _noise(estimate)
-
-
-def _initial_states(estimate: Estimate) -> Iterator[str]:
-    """Say which initial loads lie at an end of their range."""
     problem, optimum = estimate.problem, estimate.optimum
     held = problem.loads[optimum.at_bound[problem.loads]]
     ends = Counter(f"{problem.unknowns[j]} = {estimate.values[j]:g}" for j in held)
     for end, number in sorted(ends.items()):
         yield f"{end}, an end of its range, in {number} of {counted(len(problem.runs), 'run')}."
-
-
-def _dropouts(problem: Problem) -> Iterator[str]:
-    """Say how many samples of each output were left out as outliers."""
+    windows = {run.window * run.undone * run.sample_time for run in problem.runs}
+    if any(run.window * run.undone > 1 for run in problem.runs):
+        where = "in the values that are averaged" if problem.unwindow else "in the means"
+        spans = " and ".join(f"{window:g} s" for window in sorted(windows))
+        yield (
+            f"The outputs are fitted as means over a moving window of {spans}, with noise {where}."
+        )
+    if "p_h" in problem.model.inputs:
+        yield (
+            "The measured p_h drives the model, and its noise counts as performance: where that is "
+            "large, the effect of p_h is underrated."
+        )
     for name, of_output in zip(problem.model.outputs, problem.by_output(), strict=True):
-        lost = [series for series in of_output if not series.known.all()]
-        if lost:
-            first = problem.runs[lost[0].run].t[~lost[0].known][0]
+        lost = [run.t[~s.known] for run, s in zip(problem.runs, of_output, strict=True)]
+        times = np.concatenate(lost)
+        if times.size:
             yield (
-                f"{sum((~series.known).sum() for series in lost)} samples of {name} jump away "
-                f"from the model, the first at {first:g} s (dropouts?); they are left "
-                "out, robust=False keeps them."
+                f"{times.size} samples of {name} jump away from the model, the first at "
+                f"{times[0]:g} s (dropouts?); they are left out, robust=False keeps them."
             )
+    yield from _noise(estimate)
 
 
 def _noise(estimate: Estimate) -> Iterator[str]:
@@ -347,7 +534,7 @@ def _noise(estimate: Estimate) -> Iterator[str]:
     if not white:
         yield f"Residuals are not white (Ljung–Box p = {estimate.simple_p:.2g})."
     for name, noise in zip(problem.model.outputs, problem.noise, strict=True):
-        if noise.share > 0.0 and noise.memory > 0.0:
+        if noise.memory > 0.0:
             seconds = -problem.runs[0].sample_time / np.log(noise.memory)
             yield (
                 f"The fit allows for {100.0 * noise.share:.3g} % of the noise of {name} being "
@@ -355,30 +542,21 @@ def _noise(estimate: Estimate) -> Iterator[str]:
             )
     if estimate.sandwiched:
         yield "Standard errors allow for autocorrelation."
-    elif estimate.noise == "white" and not white:
+    elif not white and all(noise == Noise() for noise in problem.noise):
         yield 'These standard errors are too small; use noise="auto".'
 
 
-# --- doubts ---------------------------------------------------------------------------------------
-
-
-def doubts(estimate: Estimate) -> Iterator[str]:
-    """Give every reason why the intervals of a fit cannot be trusted, and what to do."""
-    if estimate.optimum.exact.any():
-        return
-    yield from _coarse(estimate)
-    yield from _delay_warning(estimate)
-    yield from _slow(estimate)
-    yield from _rivals(estimate)
+# --- doubts: why intervals cannot be trusted, and what to do -------------------------------------
 
 
 def _rivals(estimate: Estimate) -> Iterator[str]:
     """Find other values that explain the data as well, beyond what standard errors allow."""
-    for rival in estimate.rivals[1:]:
+    best, *rivals = estimate.rivals
+    for rival in rivals:
         others = rival.problem.values(rival.x)
         # Where the likelihood is Gaussian, values z standard errors away cost a deviance of z² at
         # least.
-        z = np.sqrt(4.0 + 2.0 * (rival.deviance - estimate.rivals[0].deviance))
+        z = np.sqrt(4.0 + 2.0 * (rival.deviance - best.deviance))
         far = np.abs(others - estimate.values) > z * estimate.stderr
         listed = [
             f"{name} = {others[j]:.4g} for {estimate.values[j]:.4g}"
@@ -396,19 +574,16 @@ def _rivals(estimate: Estimate) -> Iterator[str]:
 def _coarse(estimate: Estimate) -> Iterator[str]:
     """Find outputs that are logged in steps which their noise does not blur."""
     for name, sigma in zip(estimate.problem.model.outputs, estimate.sigma, strict=True):
-        values = np.concatenate([run[name][:2000] for run in estimate.problem.runs[:4]])
+        values = joined(estimate.problem.runs, name)[:8000]
         levels = np.unique(values)
         step = float(np.diff(levels).min(initial=np.inf))
         # Rounding is noise like any other where noise before it has more than half a step as its
         # standard deviation.
         if 1.6 * sigma < step < np.inf and levels.size < 0.5 * values.size:
-            steps = (levels - levels[0]) / step
-            if np.allclose(steps, np.round(steps), atol=1e-3):
-                yield (
-                    f"{name} is logged in steps of {step:.2g}, more than its noise ({sigma:.2g}): "
-                    "rounding shifts the estimates by more than these standard errors; log more "
-                    "digits."
-                )
+            yield (
+                f"{name} is logged in steps of {step:.2g}, more than its noise ({sigma:.2g}): "
+                "rounding shifts the estimates by more than these standard errors; log more digits."
+            )
 
 
 def _delay_warning(estimate: Estimate) -> Iterator[str]:
@@ -430,12 +605,9 @@ def _slow(estimate: Estimate) -> Iterator[str]:
     """Find noise so slow that one record does not tell its size."""
     problem = estimate.problem
     samples = sum(run.size for run in problem.runs)
-    correlated = [noise for noise in problem.noise if noise.share > 0.01 and noise.memory > 0.0]
-    memory = [-1.0 / np.log(noise.memory) for noise in correlated]
+    memory = [-1.0 / np.log(n.memory) for n in problem.noise if n.share > 0.01 and n.memory > 0.0]
     if estimate.sandwiched:
-        memory.append(
-            max(hac_lags([s.white[:, 0] for s in of_output]) for of_output in problem.by_output())
-        )
+        memory += map(hac_lags, problem.whitened())
     if memory and max(memory) * STRETCHES > samples:
         step = problem.runs[0].sample_time
         yield (

@@ -1,8 +1,8 @@
 """
 What identification reads from sessions, and how a log shows a model.
 
-Columns become arrays; outputs may be means over a window, a sample may hold several steps of the
-model, and the mode may act later than its stamp says.
+Columns become arrays; outputs may be means over a window, and the mode may act later than its stamp
+says.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -15,7 +15,6 @@ from trustlab.identification.model import IdentificationError, Model
 from trustlab.models.checks import (
     Checked,
     NotNegative,
-    Positive,
     did_you_mean,
     not_negative,
     of_class,
@@ -32,7 +31,7 @@ HOW_TO_GET = (
 @dataclass(frozen=True)
 class LogSettings(Checked):
     """
-    How a log shows the model: averaging, time step, errors of the time stamps, outliers.
+    How a log shows the model: averaging, errors of the time stamps, outliers.
 
     Every fit takes these settings as keywords, or a `LogSettings` as `log`.
 
@@ -42,9 +41,6 @@ class LogSettings(Checked):
         Length W [s] of the moving window over which the outputs were averaged, as
         `with_performance` does; 0 if they were not averaged. By default each session's metadata
         decide.
-    step : float, optional
-        Time step of the model [s], to which its rates refer, if it is shorter than the log's sample
-        time; a sample must hold a whole number of steps.
     mode_delay : bool
         Whether to estimate the delay between the logged time of a change of mode and its effect
         [s], as a further parameter `mode_delay`.
@@ -73,7 +69,6 @@ class LogSettings(Checked):
     """
 
     window: NotNegative | None = None
-    step: Positive | None = None
     mode_delay: bool = False
     stamp_error: NotNegative | None = None
     robust: bool = True
@@ -91,16 +86,19 @@ def log_settings(log: LogSettings | None, changes: Mapping[str, Any]) -> LogSett
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One session as arrays: columns of shape (N,) by name, and facts that messages need."""
+    """
+    One session as arrays: columns of shape (N,) by name, and facts that messages need.
+
+    Outputs are means over `window` samples; where these are undone, they were over `undone`.
+    """
 
     label: str
     t: np.ndarray
     columns: Mapping[str, np.ndarray]
     synthetic: bool = False
-    participant: object = None
     window: int = 1
+    undone: int = 1
     stamp_error: float = 0.0
-    model_step: float | None = None
     buffers: dict[tuple, np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -116,14 +114,13 @@ class Run:
         """Time between samples [s]."""
         return float(self.t[-1] - self.t[0]) / (self.size - 1)
 
-    @property
-    def step(self) -> float:
-        """Time step of the model [s]: one sample, unless it is stated."""
-        return self.model_step or self.sample_time
-
     def changed(self, columns: Mapping[str, np.ndarray], **fields: Any) -> "Run":
         """Return the run with some columns, and perhaps fields, changed."""
         return replace(self, columns={**self.columns, **columns}, **fields)
+
+    def mapped(self, names: Iterable[str], change: Callable) -> "Run":
+        """Return the run with some columns changed by `change(values, window)`."""
+        return self.changed({name: change(self[name], self.window) for name in names})
 
     def scratch(self, name: str, lanes: int) -> np.ndarray:
         """Return an array of shape (N, lanes) to write into, the same at every call."""
@@ -153,17 +150,22 @@ def read_runs(
                 f"{sessions[0].sample_time:g} s and {session.label} has {session.sample_time:g} s; "
                 "resample by name when reading"
             )
-    windows = _windows(sessions, log.window, columns)
+    windows = [_window(session, log.window) for session in sessions]
+    if None in windows and {"p_r", "p_h"} & set(columns):
+        warn(
+            f"{sessions[windows.index(None)].label}: nothing says whether p_r and p_h are means "
+            "over a moving window, as (2.4) and (2.7) are, and a fit that takes means for the "
+            "values themselves is wrong: state window=… [s], or window=0 if they are no means (in "
+            "a recipe: performance_window = …; Session.with_performance notes its own)"
+        )
     return [
         Run(
             session.label,
             session.t,
             {name: session[name].copy() for name in columns},
             session.metadata.synthetic,
-            session.metadata.participant,
-            window,
-            _stamp_error(session, log.stamp_error),
-            log.step,
+            window or 1,
+            stamp_error=_stamp_error(session, log.stamp_error),
         )
         for session, window in zip(sessions, windows, strict=True)
     ]
@@ -190,31 +192,18 @@ def _stamp_error(session: Session, stated: float | None) -> float:
     return 0.0 if exact else session.sample_time / np.sqrt(12.0)
 
 
-def _windows(sessions: list[Session], stated: float | None, columns: tuple[str, ...]) -> list[int]:
-    """Return each session's window in samples, 1 for none; warn where none is stated."""
-    windows = []
-    unstated = []
-    for session in sessions:
-        more = session.metadata.more
-        window = more.get("performance_window") if stated is None else stated
-        if window and more.get("performance_cut"):
-            raise IdentificationError(
-                f"{session.label} was cut after its performance was averaged, so that its first "
-                "means hold what is no longer there; cut the log first, then call "
-                "with_performance"
-            )
-        if window is None and not session.metadata.synthetic:
-            unstated.append(session.label)
-        seconds = not_negative("window", window or 0.0)
-        windows.append(max(1, round(seconds / session.sample_time)))
-    if unstated and {"p_r", "p_h"} & set(columns):
-        warn(
-            f"{unstated[0]}: nothing says whether p_r and p_h are means over a moving window, as "
-            "(2.4) and (2.7) are, and a fit that takes means for the values themselves is wrong: "
-            "state window=… [s], or window=0 if they are no means (in a recipe: "
-            "performance_window = …; Session.with_performance notes its own)"
+def _window(session: Session, stated: float | None) -> int | None:
+    """Return the window of a session's means in samples, 1 for none; None where nobody says."""
+    more = session.metadata.more
+    window = more.get("performance_window") if stated is None else stated
+    if window and more.get("performance_cut"):
+        raise IdentificationError(
+            f"{session.label} was cut after its performance was averaged, so that its first means "
+            "hold what is no longer there; cut the log first, then call with_performance"
         )
-    return windows
+    if window is None and not session.metadata.synthetic:
+        return None
+    return max(1, round(not_negative("window", window or 0.0) / session.sample_time))
 
 
 def joined(runs: list[Run], name: str) -> np.ndarray:
@@ -269,57 +258,34 @@ def undo_window(means: np.ndarray, window: int) -> np.ndarray:
     return gained.reshape(-1, window).cumsum(axis=0).ravel()[: means.size]
 
 
-# --- finer steps, and a mode that acts late -------------------------------------------------------
+def undone(run: Run, names: Iterable[str]) -> Run:
+    """Return a run with the values that the means in these columns were made of."""
+    return run.mapped(names, undo_window).changed({}, window=1, undone=run.window)
 
 
-def logged_model(model: Model, sample_time: float, log: LogSettings) -> Model:
-    """Return a model as the log shows it: finer steps, a delay of the mode to estimate, or both."""
-    if log.step is not None:
-        ratio = sample_time / log.step
-        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
-            raise ValueError(
-                f"step = {log.step:g} s does not divide the log's sample time, {sample_time:g} s"
-            )
-        model = _in_steps(model, round(ratio))
-    return _delayed(model) if log.mode_delay else model
+# --- a mode that acts late ------------------------------------------------------------------------
 
 
-def _in_steps(model: Model, ratio: int) -> Model:
-    """Return a model that takes several steps a sample, between which the inputs stay the same."""
-
-    def simulate(run: Run, **values):
-        return tuple(out[::ratio] for out in model.outputs_of(refined(run, ratio), values))
-
-    def starts(runs: list[Run], limits: Mapping):
-        return model.starts([refined(run, ratio) for run in runs], limits)
-
-    return replace(model, simulate=simulate, starts=model.starts and starts, lanes=True)
-
-
-def _delayed(model: Model) -> Model:
+def delayed(model: Model) -> Model:
     """Return a model with one more unknown: how much later [s] the mode acts than it is stamped."""
 
     def simulate(run: Run, mode_delay, **values):
-        first = mode_delay[0]
-        outputs = model.outputs_of(late(run, first), values)
-        moved = np.flatnonzero(mode_delay != first)
-        if moved.size:
-            # Simulations bend where a delay takes in another sample: the slope over a whole sample
-            # takes the place of that at a point.
-            of_moved = {name: column[moved] for name, column in values.items()}
-            ends = [late(run, first + half * run.sample_time) for half in (0.5, -0.5)]
-            pairs = zip(*(model.outputs_of(end, of_moved) for end in ends), strict=True)
-            for out, (high, low) in zip(outputs, pairs, strict=True):
-                slope = (high - low) / run.sample_time
-                out[:, moved] += slope * (mode_delay[moved] - first)
+        outputs = model.outputs_of(late(run, mode_delay[0]), values)
+        moved = np.flatnonzero(mode_delay != mode_delay[0])
+        if moved.size == 0:
+            return tuple(outputs)
+        # Simulations bend where a delay takes in another sample: the slope over a whole sample
+        # takes the place of that at a point.
+        of_moved = {name: column[moved] for name, column in values.items()}
+        halves = mode_delay[0] + run.sample_time * np.array([0.5, -0.5])
+        ends = [model.outputs_of(late(run, delay), of_moved) for delay in halves]
+        for out, high, low in zip(outputs, *ends, strict=True):
+            out[:, moved] += (high - low) / run.sample_time * (mode_delay[moved] - mode_delay[0])
         return tuple(outputs)
 
     def starts(runs: list[Run], limits: Mapping):
         own = model.starts(runs, limits) if model.starts else [{}]
         return [{**values, "mode_delay": 0.0} for values in own]
-
-    def build(mode_delay: float, **values):
-        return values if model.build is None else model.build(**values)
 
     count = len(model.names)
     return replace(
@@ -331,16 +297,7 @@ def _delayed(model: Model) -> Model:
         simulate=simulate,
         starts=starts,
         lanes=True,
-        build=build,
     )
-
-
-def refined(run: Run, ratio: int) -> Run:
-    """Return a run with `ratio` samples for each, all columns held."""
-    if ratio == 1:
-        return run
-    columns = {name: np.repeat(values, ratio) for name, values in run.columns.items()}
-    return run.changed(columns, t=run.t[0] + run.sample_time / ratio * np.arange(run.size * ratio))
 
 
 def late(run: Run, delay: float) -> Run:
@@ -349,8 +306,3 @@ def late(run: Run, delay: float) -> Run:
         return run
     at = np.arange(run.size, dtype=float)
     return run.changed({"mode": np.interp(at - delay / run.sample_time, at, run["mode"])})
-
-
-def averaged(run: Run, names: Iterable[str], change: Callable) -> Run:
-    """Return a run without a window, some of its columns changed by `change(values, window)`."""
-    return run.changed({name: change(run[name], run.window) for name in names}, window=1)

@@ -7,7 +7,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import did_you_mean, finite_number, flag, of_class, one_of, shown
+from trustlab.models.checks import (
+    Checked,
+    between,
+    did_you_mean,
+    finite_number,
+    of_class,
+    one_of,
+    shown,
+)
 
 # How close to 0 and 1 an unknown in (0, 1) may come during the search.
 UNIT_MARGIN = 1e-9
@@ -83,7 +91,7 @@ COORDINATES = {
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class Model(Checked):
     """
     Equations with unknowns: what `fit` identifies.
 
@@ -150,7 +158,7 @@ class Model:
     low: Sequence[float] = ()
     high: Sequence[float] = ()
     size: Any = ()
-    simulate: Any = None
+    simulate: Callable = None
     starts: Callable | None = None
     inputs: tuple[str, ...] = ("mode",)
     lanes: bool = False
@@ -163,18 +171,14 @@ class Model:
     how_to_get = "build one with trustlab.Model(names, states, outputs, …, simulate=…)"
 
     def __post_init__(self):
+        super().__post_init__()
         for name in ("names", "states", "outputs", "inputs"):
             value = getattr(self, name)
             self._set(name, (value,) if isinstance(value, str) else value, str)
-        for name in ("starts", "build", "check"):
-            function = getattr(self, name)
-            if function is not None and not callable(function):
-                raise ValueError(f"{name} must be a function, got {function!r}")
         for name in ("coordinates", "derived", "hints"):
             of_class(name, getattr(self, name), dict)
-        flag("lanes", self.lanes)
-        if not (self.names and self.outputs and self.inputs and callable(self.simulate)):
-            raise ValueError("a model needs names, outputs, inputs and a function simulate")
+        if not (self.names and self.outputs and self.inputs):
+            raise ValueError("a model needs names, outputs and inputs")
         repeated = [name for name in self.unknowns if self.unknowns.count(name) > 1]
         if repeated:
             raise ValueError(f"a model has two unknowns called {repeated[0]!r}")
@@ -183,13 +187,15 @@ class Model:
             one_of(f"coordinate of {name}", kind, COORDINATES)
         if not callable(self.size):
             self._set("size", self.size, Real, len(self.names))
-        self._set("low", self.low, Real, len(self.unknowns), -np.inf)
-        self._set("high", self.high, Real, len(self.unknowns), np.inf)
+        for side, unbounded in (("low", -np.inf), ("high", np.inf)):
+            count = len(self.unknowns)
+            self._set(side, getattr(self, side), Real, count)
+            self.__dict__[side] = getattr(self, side) or (unbounded,) * count
         for name, (low, high) in self.limits().items():
             if not low < high:
                 raise ValueError(f"{name} needs bounds with low < high, got ({low}, {high})")
 
-    def _set(self, name: str, values: Any, kind: type, size: int = 0, default: Any = None) -> None:
+    def _set(self, name: str, values: Any, kind: type, size: int = 0) -> None:
         """Set a field to a tuple of items of one kind, of this size where it is not empty."""
         sequence = isinstance(values, (list, tuple, np.ndarray))
         if not sequence or not all(isinstance(value, kind) for value in values):
@@ -197,9 +203,7 @@ class Model:
             raise ValueError(f"{name} must be a list of {words}, got {values!r}")
         if size and len(values) not in (0, size):
             raise ValueError(f"{name} must have {size} numbers, got {len(values)}")
-        if default is not None and len(values) == 0:
-            values = (default,) * size
-        object.__setattr__(self, name, tuple(values))
+        self.__dict__[name] = tuple(values)
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -230,25 +234,22 @@ class Model:
         bounds : mapping, optional
             (low, high) by name; None for an open side.
         """
-        fixed = {} if fixed is None else fixed
-        bounds = {} if bounds is None else bounds
-        for argument, given in (("fixed", fixed), ("bounds", bounds)):
-            if not isinstance(given, Mapping):
-                raise ValueError(f"{argument} must give values by name, got {shown(given)}")
-            self.check_names(given, argument)
-        for name in set(fixed) & set(bounds):
+        given: dict[str, Any] = {"fixed": fixed, "bounds": bounds}
+        given = {name: {} if values is None else values for name, values in given.items()}
+        for argument, values in given.items():
+            if not isinstance(values, Mapping):
+                raise ValueError(f"{argument} must give values by name, got {shown(values)}")
+            self.check_names(values, argument)
+        for name in set(given["fixed"]) & set(given["bounds"]):
             raise ValueError(f"{name} is both fixed and bounded; give one of them")
         limits = {}
         for name, *ends in zip(self.unknowns, self.low, self.high, strict=True):
             coordinate = self.coordinate(name)
             low, high = np.clip(ends, coordinate.low, coordinate.high).tolist()
-            if name in bounds:
-                low, high = _narrowed(name, bounds[name], low, high)
-            if name in fixed:
-                value = finite_number(f"fixed {name}", fixed[name])
-                if not low <= value <= high:
-                    raise ValueError(f"{name} is fixed at {value}, outside ({low:.3g}, {high:.9g})")
-                low = high = value
+            if name in given["fixed"]:
+                low = high = between(f"fixed {name}", given["fixed"][name], low, high)
+            if name in given["bounds"]:
+                low, high = _narrowed(name, given["bounds"][name], low, high)
             limits[name] = (low, high)
         return limits
 
@@ -275,7 +276,7 @@ class Model:
                     f"({', '.join(self.unknowns)}){did_you_mean(name, self.unknowns)}"
                 )
 
-    def outputs_of(self, run: Any, values: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    def outputs_of(self, run: Any, values: Mapping[str, np.ndarray]) -> tuple:
         """
         Return the simulated outputs of a run, shape (N, L) each.
 
@@ -286,16 +287,12 @@ class Model:
         values : mapping
             Names and states, shape (L,) each.
         """
-
-        def simulated(**values):
-            outputs = self.simulate(run, **values)
-            return outputs if isinstance(outputs, tuple) else (outputs,)
-
         if self.lanes:
-            return list(simulated(**values))
+            return _as_tuple(self.simulate(run, **values))
         lanes = []
         for row in zip(*values.values(), strict=True):
-            outputs = simulated(**dict(zip(values, map(float, row), strict=True)))
+            lane = dict(zip(values, map(float, row), strict=True))
+            outputs = _as_tuple(self.simulate(run, **lane))
             shapes = [np.shape(output) for output in outputs]
             if shapes != [(run.size,)] * len(self.outputs):
                 raise ValueError(
@@ -303,7 +300,7 @@ class Model:
                     f"got {' and '.join(map(str, shapes))}"
                 )
             lanes.append(outputs)
-        return [np.column_stack(output).astype(float) for output in zip(*lanes, strict=True)]
+        return tuple(np.column_stack(output).astype(float) for output in zip(*lanes, strict=True))
 
     def useful(self, values: Mapping[str, float]) -> dict[str, float]:
         """
@@ -320,6 +317,11 @@ class Model:
         return widths | dict(
             size(values) if callable(size) else zip(self.names, size, strict=False)
         )
+
+
+def _as_tuple(outputs: Any) -> tuple:
+    """Return one output or several as a tuple."""
+    return outputs if isinstance(outputs, tuple) else (outputs,)
 
 
 def _narrowed(name: str, pair: tuple, low: float, high: float) -> tuple[float, float]:

@@ -1,267 +1,25 @@
 """
-The likelihood of a model: simulate, compare, whiten.
+The likelihood of a model, and the search for its maximum.
 
-What a log shows beyond the simulated outputs, e = y − ŷ, is noise: white, or an AR(1) process plus
-white noise, whose Kalman filter leaves prediction errors; a sandwich widens the covariance for any
-other. A model simulates many lanes in one call: the first at the unknowns themselves, each of the
-others with one of them moved a little, so that the differences are derivatives.
+A model simulates many lanes in one call: the first at the unknowns themselves, each of the others
+with one of them moved a little, so that the differences are derivatives. A rough search goes from
+every start of the model, a fine one on from the best.
 
 [L] Ljung, *System Identification: Theory for the User*, 2nd ed., 1999.
 [S] Söderström and Stoica, *System Identification*, 1989.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import special
 
-from trustlab.identification.log import (
-    Run,
-    counts,
-    in_rows,
-    joined,
-    undo_window,
-    window_means,
-)
-from trustlab.identification.model import COORDINATES, IdentificationError, Model
+from trustlab.identification.log import Run, counts, joined, undone, window_means
+from trustlab.identification.model import IdentificationError, Model
+from trustlab.identification.noise import Noise, fitted_noise, outliers, scaled_roots, whiten
 from trustlab.models.checks import counted
 from trustlab.models.compiled import njit
-
-# Lags of the Ljung–Box test that chooses what the noise model and standard errors allow for.
-LAGS = 25
-
-# p value of the Ljung–Box test below which residuals do not count as white.
-NOT_WHITE = 1e-3
-
-# Standard errors from the middle of a 95 % interval to its end.
-HALF_WIDTH = float(special.ndtri(0.975))
-
-# Robust standard deviations beyond which a sudden residual counts as an outlier: of white noise one
-# sample in 5·10⁸ is.
-FAR = 6.0
-
-
-def pooled_correlation(errors: list[np.ndarray], others: list[np.ndarray], lags: int) -> np.ndarray:
-    """
-    Return the correlation of e(k) with u(k − lag), lag = 0, 1, …, pooled over runs.
-
-    No product crosses from one run to the next; means are those of all runs, as in statsmodels.
-    0 where one of them never moves.
-    """
-    e_mean, u_mean = (np.concatenate(each).mean() for each in (errors, others))
-    sums, powers = np.zeros(lags + 1), np.zeros(2)
-    for e, u in zip(errors, others, strict=True):
-        e, u = e - e_mean, u - u_mean
-        sums += [e[lag:] @ u[: max(u.size - lag, 0)] for lag in range(lags + 1)]
-        powers += e @ e, u @ u
-    scale = np.sqrt(powers.prod())
-    return sums / scale if scale > 0.0 else sums
-
-
-def ljung_box(residuals: list[np.ndarray], lags: int) -> tuple[float, int, float]:
-    """
-    Return Q = n(n + 2) Σ ρ²(l)/(n − l) over lags l, its degrees of freedom and its p value.
-    """
-    samples = sum(map(len, residuals))
-    lags = min(lags, samples - 1)
-    terms = pooled_correlation(residuals, residuals, lags)[1:] ** 2 / (
-        samples - np.arange(1, lags + 1)
-    )
-    q = samples * (samples + 2.0) * np.sum(terms)
-    return float(q), lags, float(special.chdtrc(lags, q))
-
-
-def whiteness_p(residuals: list[np.ndarray]) -> float:
-    """Return the p value of the Ljung–Box test."""
-    return ljung_box(residuals, LAGS)[2]
-
-
-def hac_lags(residuals: list[np.ndarray]) -> int:
-    """
-    Return the bandwidth of the Bartlett window for residuals, by Andrews' rule for an AR(1).
-
-    The rule, 1.1447 (α n)^(1/3) with α = 4ρ²/((1 − ρ)²(1 + ρ)²), is equations (6.2) and (6.4) of
-    Andrews (1991), *Econometrica* 59, 817-858; here at most a quarter of the shortest run.
-    """
-    # White noise on top hides slow noise from the first autocorrelation, but averages out in
-    # blocks: the rule is applied to the means over 1, 2, 4, 8 … samples too, and the widest result
-    # taken.
-    shortest = min(map(len, residuals))
-    widest = 0.0
-    length = 1
-    while length == 1 or shortest // length >= 50:
-        means = [in_rows(run, length).mean(axis=1) for run in residuals]
-        total = sum(map(len, means))
-        rho = min(abs(float(pooled_correlation(means, means, 1)[1])), 0.9999)
-        if length == 1 or rho > 3.0 / np.sqrt(total):
-            alpha = 4.0 * rho**2 / (1.0 - rho**2) ** 2
-            widest = max(widest, length * 1.1447 * (alpha * total) ** (1.0 / 3.0))
-        length *= 2
-    return int(min(widest, shortest // 4))
-
-
-def hac_matrix(scores: np.ndarray, lags: int) -> np.ndarray:
-    """
-    Return the Bartlett-weighted sum of products of scores, shape (n, p), over lags (Newey–West).
-    """
-    # Sums over lags + 1 scores in a row hold each product at lag l in lags + 1 − l places: as
-    # Bartlett weights it.
-    total = np.cumsum(np.pad(scores, ((lags + 1, lags), (0, 0))), axis=0)
-    sums = total[lags + 1 :] - total[: -lags - 1]
-    return sums.T @ sums / (lags + 1)
-
-
-class Noise(NamedTuple):
-    """AR(1) noise under white noise: share of the variance, correlation of successive samples."""
-
-    share: float = 0.0
-    memory: float = 0.0
-
-
-class Process(NamedTuple):
-    """
-    Noise y = c x + v of a first-order process x and white noise v, from one value to the next.
-
-    x becomes φ x + w; `drive`, `error` and `both` are the variance of w, that of v, and their
-    covariance; `variance` is that of x.
-    """
-
-    phi: float
-    c: float
-    drive: float
-    error: float
-    both: float
-    variance: float
-
-
-@njit
-def process(white, slow, memory, samples):
-    """
-    Return the noise of means over `samples`.
-
-    Of each sample, `white` and `slow` are the deviations of white and AR(1) noise; `memory` is the
-    correlation of successive samples of the latter.
-    """
-    total = 0.0
-    power = 1.0
-    error = 0.0
-    both = 0.0
-    # After m samples a shock has added `total` = 1 + … + φ^(m − 1) to the sum.
-    for m in range(samples):
-        if m > 0:
-            error += total * total
-            both += total * power
-        total += power
-        power *= memory
-    shock = slow * slow * (1.0 - memory * memory)
-    return Process(
-        power,
-        total / samples,
-        slow * slow * (1.0 - power * power),
-        (shock * error / samples + white * white) / samples,
-        shock * both / samples,
-        slow * slow,
-    )
-
-
-@njit
-def filter_columns(columns, known, noise, errors):
-    """
-    Write the prediction errors of a Kalman filter, scaled to variance one; return Σ ln variance.
-
-    Columns, shape (N, p), are filtered alike; where nothing is known the noise is only predicted
-    (Kailath, Sayed and Hassibi, *Linear Estimation*, 2000, Section 9.5: correlated noises).
-    """
-    state = np.zeros(columns.shape[1])
-    variance = noise.variance
-    before = -1.0
-    scale = 1.0
-    gain = 0.0
-    after = 0.0
-    logarithm = 0.0
-    logs = 0.0
-    for k in range(columns.shape[0]):
-        if not known[k]:
-            for j in range(state.size):
-                errors[k, j] = 0.0
-                state[j] *= noise.phi
-            variance = noise.phi * noise.phi * variance + noise.drive
-            continue
-        if abs(variance - before) > 1e-14 * variance:  # the filter settles within some samples
-            before = variance
-            total = noise.c * noise.c * variance + noise.error
-            scale = 1.0 / np.sqrt(total)
-            gain = (noise.phi * noise.c * variance + noise.both) / total
-            after = noise.phi * noise.phi * variance + noise.drive - gain * gain * total
-            logarithm = np.log(total)
-        for j in range(state.size):
-            error = columns[k, j] - noise.c * state[j]
-            errors[k, j] = scale * error
-            state[j] = noise.phi * state[j] + gain * error
-        variance = after
-        logs += logarithm
-    return logs
-
-
-def whiten(columns: np.ndarray, known: np.ndarray, noise: Noise) -> tuple[np.ndarray, float]:
-    """
-    Return columns, shape (N, p), whitened by a Kalman filter, and the log-determinant.
-
-    Errors and their derivatives are filtered alike ([L] Section 4.3). Where nothing is known the
-    columns are 0, so that white noise leaves them as they are.
-    """
-    if noise == Noise():
-        return columns, 0.0
-    errors = np.empty(columns.shape)
-    of_samples = process(np.sqrt(1.0 - noise.share), np.sqrt(noise.share), noise.memory, 1)
-    return errors, filter_columns(columns, known, of_samples, errors)
-
-
-def scaled_roots(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return scales of the unknowns, and eigenvalues and -vectors with these at unit diagonal."""
-    # Units of the unknowns do not decide what is singular.
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return scale, *np.linalg.eigh(matrix / np.outer(scale, scale))
-
-
-def _restricted_deviance(gram: np.ndarray, log_determinant: float, samples: float) -> float:
-    """Return minus twice the restricted log-likelihood of [e J]ᵀ[e J], but for a constant."""
-    scale, roots, vectors = scaled_roots(gram[1:, 1:])
-    regular = roots > 1e-10
-    along = (gram[0, 1:] / scale) @ vectors[:, regular]
-    squares = max(gram[0, 0] - along @ (along / roots[regular]), 1e-300)
-    value = (samples - regular.sum()) * np.log(squares) + log_determinant
-    return value + np.log(roots[regular]).sum() + 2.0 * np.log(scale).sum()
-
-
-def _noise(at) -> Noise:
-    """Return the noise model at unbounded coordinates: −ln(1 − memory), log odds of the share."""
-    memory = float(np.clip(COORDINATES["rate"].back(at[0]), 0.0, 1.0 - 1e-6))
-    return Noise(float(COORDINATES["odds"].back(np.clip(at[1], -12.0, 12.0))), memory)
-
-
-def outliers(error: np.ndarray, scale: float) -> np.ndarray:
-    """Return which residuals are far off and begin or end with a jump, as dropouts do."""
-    from scipy import ndimage
-
-    far = np.abs(error) > FAR * scale
-    if not far.any():
-        return far
-    jumps = np.abs(np.diff(error, prepend=0.0, append=0.0)) > FAR * scale
-    out = np.zeros(error.size, dtype=bool)
-    for (stretch,) in ndimage.find_objects(ndimage.label(far)[0]):
-        out[stretch] = jumps[stretch.start] or jumps[stretch.stop]
-    return out
-
-
-def robust_deviation(errors: list[np.ndarray]) -> float:
-    """Return the standard deviation of Gaussian residuals with this median of absolute values."""
-    sizes = np.abs(np.concatenate(errors))
-    # A few thousand samples tell it to a few per cent.
-    return 1.4826 * float(np.median(sizes[:: 1 + sizes.size // 4000]))
-
 
 # Steps of the lanes in coordinates of the search; relative where a coordinate has no scale. That of
 # a load spans the kink that (2.6) has at rest and at full load.
@@ -271,11 +29,27 @@ STEP_OF_LOAD = 1e-4
 # Smallest eigenvalue of a regular information matrix, scaled to unit diagonal.
 SINGULAR = 1e-10
 
-# Gain of a fine search's last step, in deviance.
-FINE = 1e-5
-
 # Share of the floor of Σ e² below which residuals are mere rounding.
 ROUNDING = 1e-4
+
+# Gain in deviance of the last step: of a fine search, and of those before the best is known.
+FINE = 1e-5
+ROUGH: dict[str, Any] = {"tolerance": 0.1}
+
+# Evaluations of a search before it goes on otherwise.
+MOST = 40
+
+# Deviance per sample by which no noise model gets below the floor of Σ e².
+DEPTH = 30.0
+
+# Optima up to this far above the best, in deviance, are searched further.
+SHALLOW = 30.0
+
+# Distances from rest or full load, in the coordinate of a load, that are tried where one is near.
+NEAR = (0.0, 0.002, 0.008, 0.02, 0.05)
+
+# Shares of the way between them, where means over a window hide it.
+APART = (0.1, 0.3, 0.5, 0.8)
 
 
 @njit
@@ -296,8 +70,6 @@ class Series:
     `places` are the columns' indices: 0 for the error, 1 + i for the i-th free unknown.
     """
 
-    run: int
-    output: int
     measured: np.ndarray
     known: np.ndarray
     places: np.ndarray
@@ -311,7 +83,7 @@ class Equations(NamedTuple):
 
     `deviance` is −2 ln likelihood but for a constant, `matrix` the Gauss–Newton matrix of its half,
     `squares` Σ e² and `weights` n/Σ e² by output. `residual` and `root` are a problem of least
-    squares with the same gradient and matrix.
+    squares with the same value above its floor, gradient and matrix.
     """
 
     deviance: float
@@ -332,9 +104,10 @@ class Problem:
     """
 
     def __init__(self, model: Model, runs: list[Run], limits: Mapping, unwindow: bool = False):
+        self.model, self.limits, self.unwindow = model, limits, unwindow
         # Of runs of its own, in whose buffers no other problem writes.
-        self.model, self.runs = model, [run.changed({}) for run in runs]
-        self.unwindow = unwindow
+        self.runs = [undone(run, model.outputs) if unwindow else run.changed({}) for run in runs]
+        runs = self.runs
         self.noise = [Noise()] * len(model.outputs)
         shared, states = len(model.names), len(model.states)
         self.unknowns = [*model.names, *model.states * len(runs)]
@@ -343,27 +116,32 @@ class Problem:
             self.full_vector({name: ends[side] for name, ends in limits.items()}) for side in (0, 1)
         )
         self.free = np.flatnonzero(self.low < self.high)
-        loads = [model.coordinates.get(name) == "load" for name in self.unknowns]
-        self.loads = self.free[np.array(loads)[self.free]]
+        kinds = np.array([model.coordinates.get(name) for name in self.unknowns])
+        self.loads = self.free[kinds[self.free] == "load"]
         firsts = [shared + i * states for i in range(len(runs))]
         self.of_run = [np.r_[:shared, first : first + states] for first in firsts]
-        self.series = [
-            self._series(i, j) for i in range(len(runs)) for j in range(len(model.outputs))
-        ]
+        self.series: list[list[Series]] = []
+        for run, mine in zip(self.runs, self.of_run, strict=True):
+            places = np.r_[0, 1 + np.flatnonzero(np.isin(self.free, mine))]
+            columns = [run[name] for name in model.outputs]
+            self.series.append([Series(y, np.ones(run.size, bool), places) for y in columns])
         # The likelihood of data that are reproduced exactly is infinite: Σ e² has a floor at a
         # billionth of the scale.
-        columns = [joined(runs, name) for name in model.outputs]
-        scale = [max(float(np.sqrt(np.mean(column**2))), 1e-300) for column in columns]
-        self.floors = np.array([c.size for c in columns]) * (1e-9 * np.array(scale)) ** 2
+        powers = [np.sum(joined(runs, name) ** 2) for name in model.outputs]
+        self.floors = 1e-18 * np.maximum(powers, 1e-300)
+        # The means of n values have 1/n times the density of the values themselves.
+        averaged = sum(np.log(counts(run.size, run.undone)).sum() for run in runs)
+        self.constant = -2.0 * len(model.outputs) * averaged
         self.evaluated: tuple[Any, Any] = (None, None)
 
-    def _series(self, i: int, j: int) -> Series:
-        run = self.runs[i]
-        measured = run[self.model.outputs[j]]
-        if self.unwindow and run.window > 1:
-            measured = undo_window(measured, run.window)
-        mine = np.flatnonzero(np.isin(self.free, self.of_run[i]))
-        return Series(i, j, measured, np.ones(run.size, bool), np.r_[0, 1 + mine])
+    def alike(self, model: Model, limits: Mapping) -> "Problem":
+        """Return the problem of another model with the same runs, noise and samples that count."""
+        other = Problem(model, self.runs, {**self.limits, **limits})
+        other.noise = self.noise
+        for of_run, same in zip(other.series, self.series, strict=True):
+            for series, alike in zip(of_run, same, strict=True):
+                series.known = alike.known
+        return other
 
     def full_vector(self, values: Mapping) -> np.ndarray:
         """Return the full vector of values by name; a state may have one value per run."""
@@ -380,57 +158,41 @@ class Problem:
         return np.stack(columns, axis=-1)
 
     @property
-    def labels(self) -> list[str]:
-        """Names in the full vector; states carry the number of their run."""
-        if len(self.runs) == 1:
-            return self.unknowns
-        states = [f"{name}[{i}]" for i in range(len(self.runs)) for name in self.model.states]
-        return [*self.model.names, *states]
-
-    @property
     def counts(self) -> np.ndarray:
         """Number of samples that count, by output."""
         return np.array([sum(s.known.sum() for s in of) for of in self.by_output()], dtype=float)
 
-    def by_output(self) -> list[list[Series]]:
+    def by_output(self) -> list[tuple[Series, ...]]:
         """Return the series of each output."""
-        outputs = len(self.model.outputs)
-        return [self.series[j::outputs] for j in range(outputs)]
-
-    def by_run(self) -> list[list[Series]]:
-        """Return the series of each run."""
-        return list(map(list, zip(*self.by_output(), strict=True)))
+        return list(zip(*self.series, strict=True))
 
     # --- the likelihood at a point ----------------------------------------------------------------
 
+    def _outputs(self, run: Run, i: int, rows: np.ndarray) -> list[np.ndarray]:
+        """Return outputs, shape (N, L), of a run in place of run i at L rows of values."""
+        columns = dict(zip(self.model.unknowns, rows.T[self.of_run[i]].copy(), strict=True))
+        outputs = self.model.outputs_of(run, columns)
+        return [out if run.window == 1 else window_means(out, run.window) for out in outputs]
+
     def simulated(self, run: Run, i: int, x: np.ndarray) -> list[np.ndarray]:
         """Return the outputs, shape (N,), of a run in place of run i at a full vector."""
-        columns = self.values(x)[self.of_run[i], None]
-        values = dict(zip(self.model.unknowns, columns, strict=True))
         # In buffers of its own: those of a run hold the errors and derivatives of the last point.
-        return [output[:, 0] for output in self.model.outputs_of(run.changed({}), values)]
-
-    def observed(self, series: Series, values: np.ndarray) -> np.ndarray:
-        """Return simulated values as the log has them: averaged, where noise is in the means."""
-        window = self.runs[series.run].window
-        return values if window == 1 or self.unwindow else window_means(values, window)
+        outputs = self._outputs(run.changed({}), i, self.values(x)[None])
+        return [output[:, 0] for output in outputs]
 
     def _simulate(self, x: np.ndarray) -> None:
         """Fill the errors and derivatives of every series."""
-        loads = np.isin(self.free, self.loads)
-        sizes = np.maximum(np.abs(x[self.free]), 1e-3)
-        steps = np.where(loads, STEP_OF_LOAD, STEP * sizes)
-        steps = np.where(x[self.free] + steps <= self.high[self.free], steps, -steps)
+        steps = STEP * np.maximum(np.abs(x), 1e-3)
+        steps[self.loads] = STEP_OF_LOAD
+        steps = np.where(x + steps <= self.high, steps, -steps)[self.free]
         lanes = np.tile(x, (1 + self.free.size, 1))
         lanes[np.arange(1, 1 + self.free.size), self.free] += steps
-        rows = self.values(lanes)
-        steps = np.r_[1.0, steps]
-        for run, mine, of_run in zip(self.runs, self.of_run, self.by_run(), strict=True):
+        rows, steps = self.values(lanes), np.r_[1.0, steps]
+        for i, (run, of_run) in enumerate(zip(self.runs, self.series, strict=True)):
             places = of_run[0].places
-            table = rows[np.ix_(places, mine)]
-            columns = dict(zip(self.model.unknowns, table.T.copy(), strict=True))
-            for series, lanes_of in zip(of_run, self.model.outputs_of(run, columns), strict=True):
-                series.plain = self.observed(series, lanes_of)
+            outputs = self._outputs(run, i, rows[places])
+            for series, columns in zip(of_run, outputs, strict=True):
+                series.plain = columns
                 _differentiate(series.plain, series.measured, series.known, steps[places])
 
     def equations(self, x: np.ndarray) -> Equations:
@@ -441,18 +203,18 @@ class Problem:
         with np.errstate(all="ignore"):
             self._simulate(x)
             products = [self.products(j, noise) for j, noise in enumerate(self.noise)]
-        grams = np.stack([gram for gram, _ in products])
-        log_determinant = sum(part for _, part in products)
-        # The variance of each output maximises the likelihood at Σ e²/n. What is left of minus
-        # twice its logarithm is Σ n ln(Σ e²/n) ([L] Section 7.4, [S] Section 7.2); its derivatives
-        # weight each output by n/Σ e², so that users need give no weights.
-        squares, samples = grams[:, 0, 0], self.counts
-        weights = samples / (squares + self.floors)
-        with np.errstate(all="ignore"):
-            deviance = float(samples @ np.log(1.0 / weights)) + log_determinant
+            grams = np.stack([gram for gram, _ in products])
+            # The variance of each output maximises the likelihood at Σ e²/n. What is left of minus
+            # twice its logarithm is Σ n ln(Σ e²/n) ([L] Section 7.4, [S] Section 7.2); its
+            # derivatives weight each output by n/Σ e², so that users need give no weights.
+            squares, samples = grams[:, 0, 0], self.counts
+            weights = samples / (squares + self.floors)
+            log_determinant = sum(part for _, part in products)
+            deviance = self.constant + samples @ np.log(1.0 / weights) + log_determinant
+            above = float(samples @ (DEPTH + np.log1p(squares / self.floors)) + log_determinant)
             gram = np.tensordot(weights, grams, 1)
-        residual, root = _least_squares(gram)
-        equations = Equations(deviance, gram[1:, 1:], squares, weights, residual, root)
+        residual, root = _least_squares(gram, above)
+        equations = Equations(float(deviance), gram[1:, 1:], squares, weights, residual, root)
         self.evaluated = (x.copy(), equations)
         return equations
 
@@ -465,75 +227,85 @@ class Problem:
             log_determinant += part
         return gram, log_determinant
 
-    def set_noise(self, noise: list[Noise]) -> None:
-        """Take another noise of each output."""
-        self.noise, self.evaluated = noise, (None, None)
+    def whitened(self) -> list[list[np.ndarray]]:
+        """Return the prediction errors of each run, by output, at the last point."""
+        return [[series.white[:, 0].copy() for series in of] for of in self.by_output()]
 
-    def fit_noise(self) -> None:
-        """Take the noise of each output that its residuals at the last point show."""
-        self.set_noise([self._fitted_noise(output) for output in range(len(self.noise))])
+    def exact(self, x: np.ndarray) -> np.ndarray:
+        """Return whether an output's residuals are mere rounding, by output."""
+        return self.equations(x).squares <= ROUNDING * self.floors
 
-    def _fitted_noise(self, output: int) -> Noise:
-        """
-        Return the noise model of greatest restricted likelihood, near that of the round before.
+    # --- what the residuals at a point say --------------------------------------------------------
 
-        Restricted (Patterson & Thompson 1971, *Biometrika* 58, 545-554): the parameters are solved
-        for at every noise model, and what they take from the residuals is allowed for.
-        """
-        from scipy import optimize
+    def fit_noise(self, x: np.ndarray) -> None:
+        """Take the noise of each output that its residuals show."""
+        self.equations(x)
+        self.noise = [
+            fitted_noise(lambda noise, j=j: self.products(j, noise), self.counts[j], before)
+            for j, before in enumerate(self.noise)
+        ]
+        self.evaluated = (None, None)
 
-        def deviance(at):
-            gram, log_determinant = self.products(output, _noise(at))
-            return _restricted_deviance(gram, log_determinant, self.counts[output])
+    def leave_out(self, x: np.ndarray) -> bool:
+        """Leave out outliers among the residuals; return whether there are new ones."""
+        outputs = [self.simulated(run, i, x) for i, run in enumerate(self.runs)]
+        marks = []
+        for of_output, fitted in zip(self.by_output(), zip(*outputs, strict=True), strict=True):
+            pairs = zip(of_output, fitted, strict=True)
+            errors = [series.measured - output for series, output in pairs]
+            far = outliers(errors, [series.known for series in of_output])
+            # More than a quarter are no outliers: the model does not describe these data.
+            if np.concatenate(far).mean() >= 0.25:
+                return False
+            marks += zip(of_output, far, strict=True)
+        if self.exact(x).all() or all(np.array_equal(~far, s.known) for s, far in marks):
+            return False
+        for series, far in marks:
+            series.known = ~far
+        self.evaluated = (None, None)
+        return True
 
-        before = self.noise[output]
-        memories, shares, size = [0.3, 0.9, 0.99, 0.999], [0.05, 0.5, 0.95], 1.0
-        if before != Noise():
-            memories, shares, size = [before.memory], [before.share], 0.3
-        rate, odds = COORDINATES["rate"], COORDINATES["odds"]
-        starts = [(rate.to(m), odds.to(s)) for m in memories for s in shares]
-        best = np.array(min(starts, key=deviance))
-        simplex = best + size * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.5]])
-        options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.02, "maxfev": 80}
-        return _noise(optimize.minimize(deviance, best, method="Nelder-Mead", options=options).x)
 
-
-def _least_squares(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return f and J with JᵀJ and Jᵀf of [e J]ᵀ[e J]."""
+def _least_squares(gram: np.ndarray, above: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return f and J, with |f|² the deviance above its floor, of the products [e J]ᵀ[e J]."""
+    # A search for least squares uses no more of f and J than |f|², Jᵀf and JᵀJ: those of the
+    # likelihood itself fit in one row more than there are unknowns.
     if not np.isfinite(gram).all():
-        return np.full(len(gram) - 1, np.inf), np.full_like(gram[1:, 1:], np.inf)
+        return np.full(len(gram), np.inf), np.full_like(gram[:, 1:], np.inf)
     scale, roots, vectors = scaled_roots(gram[1:, 1:])
     roots = np.maximum(roots, 1e-14)
     root = np.sqrt(roots)[:, None] * vectors.T
-    return -(root @ (gram[0, 1:] / scale)) / roots, root * scale
+    residual = -(root @ (gram[0, 1:] / scale)) / roots
+    rest = np.sqrt(max(above - residual @ residual, 0.0))
+    return np.append(residual, rest), np.vstack([root * scale, 0.0 * scale])
 
 
-# --- an optimum -----------------------------------------------------------------------------------
+# --- the search -----------------------------------------------------------------------------------
 
 
 @dataclass(eq=False)
 class Optimum:
-    """Where a search settled: a full vector, the likelihood there, and what a bound holds."""
+    """Where a search settled: a full vector, and the likelihood there."""
 
     problem: Problem
     x: np.ndarray
-    at_bound: np.ndarray
     converged: bool
     steps: int
 
     def __post_init__(self):
-        self.equations = self.problem.equations(self.x)
-        self.deviance = self._comparable()
+        equations = self.problem.equations(self.x)
+        self.deviance, self.matrix = equations.deviance, equations.matrix
+
+    @property
+    def at_bound(self) -> np.ndarray:
+        """Which of the full vector a bound holds."""
+        low, high = self.problem.low, self.problem.high
+        return (low < high) & ((self.x <= low) | (self.x >= high))
 
     @property
     def loose(self) -> np.ndarray:
         """Which of the free unknowns no bound holds: indices into `problem.free`."""
         return np.flatnonzero(~self.at_bound[self.problem.free])
-
-    @property
-    def exact(self) -> np.ndarray:
-        """Whether an output's residuals are mere rounding, by output: no noise to be tested."""
-        return self.equations.squares <= ROUNDING * self.problem.floors
 
     def values(self) -> dict[str, Any]:
         """Return estimates by name; of states an array, shape (runs,)."""
@@ -542,27 +314,6 @@ class Optimum:
         states = row[len(model.names) :].reshape(len(self.problem.runs), -1).T
         return values | dict(zip(model.states, states, strict=False))
 
-    def same_as(self, other: "Optimum") -> bool:
-        """Return whether two rough optima are one: within five standard errors."""
-        step = (self.x - other.x)[self.problem.free]
-        return float(step @ other.equations.matrix @ step) < 25.0
-
-    def _comparable(self) -> float:
-        """
-        Return the deviance, comparable between optima that leave out different samples.
-
-        A sample left out counts as one that is `FAR` deviations off, in whatever unit data are.
-        """
-        problem, at = self.problem, self.equations
-        of_window = 0.0
-        if problem.unwindow:
-            # The means of n values have 1/n times the density of the values themselves.
-            of_window = sum(np.log(counts(run.size, run.window)).sum() for run in problem.runs)
-        lost = np.array([sum((~s.known).sum() for s in of) for of in problem.by_output()])
-        variance = (at.squares + problem.floors) / problem.counts
-        added = lost @ np.log(variance) + FAR**2 * lost.sum()
-        return float(at.deviance + added - 2.0 * len(problem.noise) * of_window)
-
     def inverse_information(self) -> np.ndarray:
         """
         Return the inverse of the information matrix of the loose unknowns.
@@ -570,21 +321,219 @@ class Optimum:
         Where the matrix is singular, raise: the unknowns involved are not identifiable.
         """
         problem, loose = self.problem, self.loose
-        matrix = self.equations.matrix[np.ix_(loose, loose)]
-        scale, roots, vectors = scaled_roots(matrix)
+        scale, roots, vectors = scaled_roots(self.matrix[np.ix_(loose, loose)])
         singular = roots <= SINGULAR
         if not singular.any():
             return (vectors / roots) @ vectors.T / np.outer(scale, scale)
         # Unknowns with a share in the directions that the data say nothing about.
         unknown = np.abs(vectors[:, singular]).max(axis=1) > 0.25
-        lost = tuple(problem.labels[j] for j in problem.free[loose[unknown]])
+        lost = tuple(dict.fromkeys(problem.unknowns[j] for j in problem.free[loose[unknown]]))
         cause = "several values explain them equally well"
-        modes = [run["mode"] for run in problem.runs if "mode" in problem.model.inputs]
-        if modes and all(np.ptp(mode) == 0.0 for mode in modes):
-            cause = f"mode never changes within any of the {counted(len(modes), 'run')}"
+        if all(np.ptp(run.columns.get("mode", [0.0, 1.0])) == 0.0 for run in problem.runs):
+            cause = f"mode never changes within any of the {counted(len(problem.runs), 'run')}"
         raise IdentificationError(
             f"these data do not determine {' and '.join(lost)} ({cause}); record phases "
             "that move the model more, or fix a parameter, for example "
-            f"fixed={{{lost[-1].split('[')[0]!r}: ...}}",
+            f"fixed={{{lost[-1]!r}: ...}}",
             lost,
         )
+
+
+def distinct(optima: Iterable[Optimum], within: float) -> list[Optimum]:
+    """Return optima that are nearly as good as the best, each once, the best first."""
+    kept: list[Optimum] = []
+    for optimum in sorted(optima, key=lambda each: each.deviance):
+        free = optimum.problem.free
+        steps = [(optimum.x - other.x)[free] for other in kept]
+        # Rough optima within five standard errors of each other are one.
+        apart = all(step @ o.matrix @ step >= 25.0 for step, o in zip(steps, kept, strict=True))
+        if apart and optimum.deviance < (kept or [optimum])[0].deviance + within:
+            kept.append(optimum)
+    return kept
+
+
+def search(
+    problem: Problem,
+    x: np.ndarray,
+    tolerance: float = FINE,
+    most: int = MOST,
+    method: str = "dogbox",
+    held: Any = (),
+) -> Optimum:
+    """
+    Return the optimum next to a full vector; its last step gained less than `tolerance`.
+
+    Unknowns that are `held`, places in the full vector, stay.
+    """
+    from scipy.optimize import least_squares
+
+    start = np.clip(x, problem.low, problem.high)
+    first = problem.equations(start)
+    if not np.isfinite(first.deviance + first.matrix.sum()):
+        values = zip(problem.unknowns, problem.values(start), strict=True)
+        raise ValueError(
+            "the model simulates values that are not finite at "
+            f"{', '.join(f'{name} = {value:.4g}' for name, value in values)}; start elsewhere, "
+            "by `starts` of the model or narrower bounds"
+        )
+    moving = ~np.isin(problem.free, held)
+    places = problem.free[moving]
+    low, high = problem.low[places], problem.high[places]
+    if places.size == 0:
+        return Optimum(problem, start, True, 1)
+
+    def at(x: np.ndarray) -> np.ndarray:
+        full = start.copy()
+        full[places] = x
+        return full
+
+    def stop(intermediate_result: Any) -> None:
+        # Where a Gauss–Newton step would gain nothing, only rounding would move the search.
+        x = intermediate_result.x
+        here = problem.equations(at(x))
+        root = here.root[:, moving]
+        gain = here.residual @ root @ np.linalg.lstsq(root, here.residual)[0]
+        if ((low < x) & (x < high)).all() and gain < 0.01 * tolerance:
+            raise StopIteration
+
+    end = least_squares(
+        lambda x: problem.equations(at(x)).residual,
+        start[places],
+        lambda x: problem.equations(at(x)).root[:, moving],
+        bounds=(low, high),
+        # "dogbox" holds what reaches a bound there, and may run to one from far away; "trf"
+        # comes near a bound in many steps, and finds its way from far.
+        method=method,
+        x_scale="jac",
+        ftol=max(tolerance / (first.residual @ first.residual), 4e-16),
+        xtol=1e-13,
+        gtol=1e-13,
+        max_nfev=most,
+        callback=stop,
+    )
+    # The callback's status is −2. No search can come closer than rounding.
+    settled = end.success or end.status == -2 or problem.exact(at(end.x)).all()
+    optimum = Optimum(problem, at(end.x), bool(settled), int(end.nfev))
+    ends = ends_of_loads(optimum)[0]
+    at_end = np.abs(optimum.x[problem.loads] - ends) < STEP_OF_LOAD
+    if settled or most > MOST or not (at_end.any() or tolerance <= FINE):
+        return optimum
+    # (2.6) has a kink at rest and at full load, which defies any quadratic model: a search that
+    # does not settle there goes on with the others. One that is to be fine goes on.
+    places = problem.loads[at_end]
+    optimum.x[places] = ends[at_end]
+    return search(problem, optimum.x, tolerance, 4 * MOST, held=[*held, *places])
+
+
+def held_at(optimum: Optimum, held: np.ndarray, places: np.ndarray) -> Optimum:
+    """Return what a search finds with some unknowns held at other places."""
+    x = optimum.x.copy()
+    x[held] = places
+    return search(optimum.problem, x, held=held, **ROUGH)
+
+
+# --- from every start -----------------------------------------------------------------------------
+
+
+def rough_optima(
+    model: Model, runs: list[Run], limits: Mapping, robust: bool = True
+) -> list[Optimum]:
+    """
+    Search roughly from every start, and return the optima of one problem, the most likely first.
+
+    Where outputs are means over a window, the likelihood decides if noise is in them or in the
+    values that they are made of; these means hide where utilization began.
+    """
+    views = []
+    for unwindow, seen in _views(model, runs):
+        problem = Problem(model, runs, limits, unwindow)
+        optima = []
+        for point in model.starts(seen, limits) if model.starts else [{}]:
+            # A model's own start lies near an optimum; another may lie anywhere.
+            method = "dogbox" if set(model.unknowns) <= point.keys() else "trf"
+            x = problem.full_vector(_completed(dict(point), limits))
+            optima.append(search(problem, x, method=method, **ROUGH))
+        views.append(_sorted(optima))
+    optima = views[0]
+    if len(views) > 1:
+        optima = min(views, key=lambda view: _deviance_with_noise(view[0]))
+    if robust:
+        optima = _without_outliers(optima, **ROUGH)
+    best, every = optima[0], np.full(optima[0].problem.loads.size, True)
+    for held in _held_elsewhere(best, every, APART) if len(views) > 1 else ():
+        if held.deviance < best.deviance + SHALLOW:
+            optima.append(search(best.problem, held.x, **ROUGH))
+    return _sorted(optima)
+
+
+def _sorted(optima: Iterable[Optimum]) -> list[Optimum]:
+    return sorted(optima, key=lambda optimum: optimum.deviance)
+
+
+def _without_outliers(optima: list[Optimum], **options: Any) -> list[Optimum]:
+    """Search again without the outliers that the best optimum shows."""
+    problem = optima[0].problem
+    for _ in range(5):  # each round shows them better
+        if not problem.leave_out(optima[0].x):
+            break
+        optima = _sorted(search(problem, optimum.x, **options) for optimum in optima)
+    return optima
+
+
+def _views(model: Model, runs: list[Run]) -> Iterator[tuple[bool, list[Run]]]:
+    """
+    Yield whether noise is in the values that a window averages, and runs for starting values.
+
+    Where it is in the means, the inputs are averaged for these, which gives a linear model's means
+    but for the beginning.
+    """
+    if all(run.window == 1 for run in runs):
+        yield False, runs
+        return
+    yield True, [undone(run, model.outputs) for run in runs]
+    means = [run.mapped(model.inputs, window_means) for run in runs]
+    yield False, [run.changed({}, window=1) for run in means]
+
+
+def _completed(start: dict, limits: Mapping) -> dict:
+    """Return a start with the middle of the bounds where it has no value."""
+    for name, (low, high) in limits.items():
+        if name not in start and not np.isfinite(high - low):
+            raise ValueError(f"{name} needs bounds on both sides, or a start: Model(starts=…)")
+        start.setdefault(name, 0.5 * (low + high))
+    return start
+
+
+def _deviance_with_noise(optimum: Optimum) -> float:
+    """Return the deviance once the noise has a model, which rounded or averaged noise needs."""
+    problem, white = optimum.problem, optimum.problem.noise
+    problem.fit_noise(optimum.x)
+    end = search(problem, optimum.x, **ROUGH)
+    problem.noise, problem.evaluated = white, (None, None)
+    return end.deviance
+
+
+def _held_elsewhere(optimum: Optimum, which: np.ndarray, shares: tuple) -> Iterator[Optimum]:
+    """Yield searches with some loads held at shares of the way from their nearer end."""
+    ends, inwards = ends_of_loads(optimum)
+    for share in shares if which.any() else ():
+        yield held_at(optimum, optimum.problem.loads[which], (ends + share * inwards)[which])
+
+
+def best_optimum(optimum: Optimum, robust: bool = True) -> Optimum:
+    """Return the fine optimum at a rough one; beside it where (2.6) bends and that is better."""
+    problem = optimum.problem
+    optimum = search(problem, optimum.x)
+    if robust:
+        (optimum,) = _without_outliers([optimum])
+    near = np.abs(optimum.x[problem.loads] - ends_of_loads(optimum)[0]) < NEAR[-1]
+    held = _sorted(_held_elsewhere(optimum, near, NEAR))[:1]
+    return _sorted([optimum, *(search(problem, best.x) for best in held)])[0]
+
+
+def ends_of_loads(optimum: Optimum) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nearer end of every free load's range, and the way from there to the other."""
+    problem, loads = optimum.problem, optimum.problem.loads
+    x, low, high = optimum.x[loads], problem.low[loads], problem.high[loads]
+    ends = np.where(x - low < high - x, low, high)
+    return ends, low + high - 2.0 * ends

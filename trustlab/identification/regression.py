@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.identification.model import IdentificationError
+from trustlab.identification.noise import scaled_roots
 from trustlab.identification.result import with_intervals
 from trustlab.models.checks import finite_array, flag, whole_number
 from trustlab.models.display import Result
@@ -94,25 +95,19 @@ def regression(
     # Row by row: BLAS takes longer for the few, long rows of a product with its own transpose.
     gram = np.stack([design @ row for row in design])
     moment = design @ target
-    scale = np.sqrt(np.diag(gram))
     if not np.isfinite(gram.sum() + moment.sum()):
         raise ValueError("the data are too large to square; scale them")
-    if not (scale > 0.0).all():
-        lost = names[int(np.argmin(scale))]
-        raise IdentificationError(
-            f"coefficient {lost} is not identifiable: its regressor is identically zero", (lost,)
-        )
-    # Regressors scaled to unit length: their units have no part in what counts as nearly collinear.
-    sizes = np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(gram / sizes)
+    scale, values, vectors = scaled_roots(gram)
     if values[0] * COLLINEAR < values[-1]:
-        lost = names[int(np.argmax(np.abs(vectors[:, 0])))]
+        lost = int(np.argmax(np.abs(vectors[:, 0])))
+        cause = "a linear combination of the others (does the input move?)"
+        if not design[lost].any():
+            cause = "identically zero"
         raise IdentificationError(
-            f"coefficient {lost} is not identifiable: its regressor is a linear combination of the "
-            "others (does the input move?)",
-            (lost,),
+            f"coefficient {names[lost]} is not identifiable: its regressor is {cause}",
+            (names[lost],),
         )
-    inverse = (vectors / values) @ vectors.T / sizes
+    inverse = (vectors / values) @ vectors.T / np.outer(scale, scale)
     coefficients = inverse @ moment
     for _ in range(3):
         coefficients = coefficients + inverse @ (design @ (target - coefficients @ design))

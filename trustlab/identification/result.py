@@ -6,10 +6,13 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.identification.problem import ljung_box, pooled_correlation
+from trustlab.identification.noise import ljung_box, pooled_correlation
 from trustlab.models.checks import counted, one_of, open_unit, whole_number
-from trustlab.models.display import Result
+from trustlab.models.display import Result, axes_or_new
 from trustlab.sessions.plots import shade_manual
+
+# Runs that a plot shows.
+MOST_RUNS = 6
 
 LABELS = {
     "p_r": "robot performance $P_r$",
@@ -139,8 +142,7 @@ class FitResult(Result):
             y = np.concatenate([run.measured[name] for run in self.runs])
             error = np.concatenate(self.residuals(name))
             spread = np.linalg.norm(y - y.mean())
-            share = np.linalg.norm(error) / spread if spread > 0.0 else np.nan
-            percent[name] = 100.0 * (1.0 - share)
+            percent[name] = 100.0 * (1.0 - np.linalg.norm(error) / spread)
         return float(percent[name]) if len(percent) == 1 else pd.Series(percent, name="fit_percent")
 
     def residuals(self, output: str | None = None) -> list[np.ndarray]:
@@ -213,46 +215,32 @@ class FitResult(Result):
         index = pd.Index(self.outputs, name="output")
         return pd.DataFrame(rows, index, columns=["statistic", "df", "p"])
 
-    def plot(self, most: int = 6):
+    def plot(self):
         """
-        Plot measured and fitted outputs against time, as Fig. 2.3 does.
-
-        Parameters
-        ----------
-        most : int
-            Most runs to show; the title says how many there are.
+        Plot measured and fitted outputs against time, as Fig. 2.3 does; of many runs the first six.
 
         Returns
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (outputs, runs shown)
         """
-        import matplotlib.pyplot as plt
-
-        runs = self.runs[: max(1, most)]
+        runs = self.runs[:MOST_RUNS]
+        shown = f"{len(runs)} of {len(self.runs)} runs" if len(self.runs) > len(runs) else ""
         rows, columns = len(self.outputs), len(runs)
-        figure, axes = plt.subplots(
-            rows,
-            columns,
-            figsize=(max(6.5, 3.0 * columns), 0.8 + 2.4 * rows),
-            squeeze=False,
-            sharey="row",
-            sharex="col",
-            layout="constrained",
-        )
+        size = (max(6.5, 3.0 * columns), 0.8 + 2.4 * rows)
+        options = {"figsize": size, "squeeze": False, "sharey": "row", "sharex": "col"}
+        axes = axes_or_new(None, rows, columns, shown, **options)
         for column, run in zip(axes.T, runs, strict=True):
             for panel, name in zip(column, self.outputs, strict=True):
                 panel.plot(run.t, run.measured[name], lw=0.8, color="0.55", label="measured")
                 panel.plot(run.t, run.fitted[name], lw=1.6, ls="--", color="C1", label="fitted")
                 if "mode" in run.inputs:
                     shade_manual(panel, run.t, run.inputs["mode"])
-                if run is runs[0]:
-                    panel.set_ylabel(LABELS.get(name, name))
             column[0].set_title(run.label, fontsize="small")
             column[-1].set_xlabel("time [s]")
+        for panel, name in zip(axes[:, 0], self.outputs, strict=True):
+            panel.set_ylabel(LABELS.get(name, name))
         shaded = "manual phases shaded" if "mode" in runs[0].inputs else None
         axes[0, 0].legend(fontsize="small", loc="best", title=shaded, title_fontsize="small")
-        if len(runs) < len(self.runs):
-            figure.suptitle(f"{len(runs)} of {len(self.runs)} runs", fontsize="small")
         return axes
 
     def plot_residuals(self, lags: int = 25):
@@ -268,29 +256,24 @@ class FitResult(Result):
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (outputs, 2)
         """
-        import matplotlib.pyplot as plt
-
         rows = len(self.outputs)
-        figure, axes = plt.subplots(
-            rows, 2, squeeze=False, figsize=(8, 0.6 + 2.2 * rows), layout="constrained"
-        )
-        for row, name in zip(axes, self.outputs, strict=True):
+        title = "residual correlations" + (", synthetic data" if self.synthetic else "")
+        size = (8, 0.6 + 2.2 * rows)
+        axes = axes_or_new(None, rows, 2, title, squeeze=False, figsize=size)
+        for (auto, cross), name in zip(axes, self.outputs, strict=True):
             frame = self.residual_correlations(lags, name)
             band = frame["band"].iloc[0]
             parts = (frame.loc[1:, "autocorrelation"], frame["cross_correlation"])
-            for panel, part in zip(row, parts, strict=True):
+            for panel, part in zip((auto, cross), parts, strict=True):
                 panel.axhspan(-band, band, alpha=0.15, lw=0, label="99 % band")
                 panel.vlines(part.index, 0.0, part)
                 panel.axhline(0.0, color="0.4", lw=0.8)
                 panel.set_xlabel("lag [samples]")
-            auto, cross = row
             auto.set_ylabel(f"residual of\n{LABELS.get(name, name)}")
             auto.set_title("autocorrelation", fontsize="small")
             cross.set_title(f"with {next(iter(self.runs[0].inputs))}", fontsize="small")
         axes[0, 0].legend(fontsize="small")
-        title = "residual correlations" + (", synthetic data" if self.synthetic else "")
-        figure.suptitle(title, fontsize="small")
-        return np.asarray(axes)
+        return axes
 
     @property
     def title(self) -> str:

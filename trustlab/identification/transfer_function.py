@@ -1,9 +1,7 @@
 """Continuous-time transfer functions of order 1 and 2 from logs, as (A.1) was identified."""
 
-from collections.abc import Mapping
-
 import numpy as np
-from scipy import linalg, signal
+from scipy import signal
 
 from trustlab.identification.fit import fit_runs
 from trustlab.identification.log import Run, joined
@@ -87,7 +85,16 @@ def transfer_model(order: int, sample_time: float) -> Model:
         return _responses(d, run["command"], sample_time) @ weights
 
     def starts(runs, limits):
-        ways = [_projected(d, runs, denominator, states) for d in _grid(order, runs, sample_time)]
+        velocity = joined(runs, "velocity")
+        first = {"velocity_0": [run["velocity"][0] for run in runs], "acceleration_0": 0.0}
+        ways = []
+        for d in _grid(order, runs, sample_time):
+            # With the gain that suits the command's response best.
+            parts = [_responses(d, run["command"], sample_time)[:, 0] for run in runs]
+            response = np.concatenate(parts)
+            gain = float(np.linalg.lstsq(response[:, None], velocity)[0][0])
+            values = {"gain": gain, **dict(zip(denominator, d, strict=True)), **first}
+            ways.append((np.sum((velocity - gain * response) ** 2), values))
         return [values for _, values in sorted(ways, key=lambda way: way[0])[:STARTS]]
 
     def check(runs, limits):
@@ -124,21 +131,6 @@ def _responses(denominator: np.ndarray, u: np.ndarray, sample_time: float) -> np
         top, driving = (top[0], u) if k == 0 else (np.r_[top[0, 1:], 0.0], pulse)
         responses.append(signal.lfilter(top, poles, driving))
     return np.column_stack(responses)
-
-
-def _projected(
-    d: np.ndarray, runs: list[Run], denominator: tuple[str, ...], states: tuple[str, ...]
-) -> tuple[float, Mapping]:
-    """Return Σ e² of a denominator, and its values with the best gain and initial states."""
-    parts = [_responses(d, run["command"], run.sample_time) for run in runs]
-    # The gain is shared; each run's initial states act in that run alone.
-    initial = linalg.block_diag(*(part[:, 1:] for part in parts))
-    design = np.column_stack([np.concatenate([part[:, 0] for part in parts]), initial])
-    target = joined(runs, "velocity")
-    weights = np.linalg.lstsq(design, target, rcond=None)[0]
-    at_first = weights[1:].reshape(len(runs), len(states)).T
-    values = dict(zip((*denominator, *states), (*d, *at_first), strict=True))
-    return float(np.sum((design @ weights - target) ** 2)), values | {"gain": weights[0]}
 
 
 def _grid(order: int, runs: list[Run], sample_time: float) -> list[np.ndarray]:

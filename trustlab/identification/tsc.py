@@ -8,13 +8,13 @@ With mode M, 1 manual and 0 autonomous, of the trust-based shared control (TSC) 
     P_h = P_h,min + (P_h,max − P_h,min) (r/β)^β ((1 − r)/(1 − β))^(1 − β)       (2.6)
 
 HUMAN simulates the operator, ROBOT the robot under the measured P_h, and TSC both, one driving the
-other; a grid of operators starts the searches of HUMAN and TSC. `fit_robot` is TSC, of which it
-keeps the robot's part.
+other; a grid of operators starts the searches of HUMAN and TSC. `fit_robot` is TSC under the
+robot's own names, of which it keeps the robot's part.
 """
 
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,9 +22,9 @@ import numpy as np
 from trustlab.identification.fit import fit
 from trustlab.identification.log import LogSettings, Run, block_means, joined
 from trustlab.identification.model import COORDINATES, IdentificationError, Model
-from trustlab.identification.problem import NOT_WHITE, Problem, whiteness_p
+from trustlab.identification.noise import NOT_WHITE, whiteness_p
+from trustlab.identification.problem import SHALLOW, Problem, distinct, search
 from trustlab.identification.result import FitResult
-from trustlab.identification.search import SHALLOW, search
 from trustlab.models.checks import positive
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import (
@@ -36,7 +36,6 @@ from trustlab.models.tsc import (
     next_utilization,
     yerkes_dodson,
 )
-from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
 
 # --- the simulation -------------------------------------------------------------------------------
@@ -90,47 +89,44 @@ def simulate_robot(run: Run, a, p_min, p_max, p_h_max, p_r0, p_h=None):
     return p_r
 
 
-def simulate_tsc(run: Run, r0, p_r0, **values):
-    """Return P_h of operators and P_r of the robots that they drive, shape (N, L) each."""
-    human, robot = _without("human_", values), _without("robot_", values)
-    p_h = simulate_human(run, **human, r0=r0)
-    return p_h, simulate_robot(run, **robot, p_h_max=human["p_max"], p_r0=p_r0, p_h=p_h)
+# --- one model of both ----------------------------------------------------------------------------
 
 
-# --- what the estimates make ----------------------------------------------------------------------
+def _part(names: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of one of two models by their names in that model alone."""
+    return {own: values[joint] for own, joint in names.items() if joint in values}
 
 
-def _check_range(p_min: float, p_max: float, prefix: str, contradiction: str) -> None:
-    """Say what about the data contradicts the model where the range of performance is empty."""
-    low, high = f"{prefix}p_min", f"{prefix}p_max"
-    if not p_max > p_min:
+def _joint(names: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values of one of two models by their names in both."""
+    return {joint: values[own] for own, joint in names.items() if own in values}
+
+
+def _made(kind: type, contradiction: str, names: Mapping[str, str], values: Mapping) -> Any:
+    """Return an operator or a robot of estimates, or say what about the data contradicts it."""
+    low, high = names["p_min"], names["p_max"]
+    if not values[high] > values[low]:
         raise IdentificationError(
-            f"{contradiction} in these data: the fit has {high} = {p_max:.4g}, not above {low} = "
-            f"{p_min:.4g}",
+            f"{contradiction} in these data: the fit has {high} = {values[high]:.4g}, not above "
+            f"{low} = {values[low]:.4g}",
             (low, high),
         )
+    return kind(**_part(names, values))
 
 
-def build_human(a: float, beta: float, p_min: float, p_max: float, prefix: str = "") -> HumanModel:
-    """Return the operator, or say what about the data contradicts (2.6)."""
+def _human_of(names: Mapping[str, str], values: Mapping[str, float]) -> HumanModel:
     words = "human performance is not greatest between rest and full load, as (2.6) has it,"
-    _check_range(p_min, p_max, prefix, words)
-    return HumanModel(a, beta, p_min, p_max)
+    return _made(HumanModel, words, names, values)
 
 
-def build_robot(
-    a: float, p_min: float, p_max: float, p_h_max: float, prefix: str = ""
-) -> RobotModel:
-    """Return the robot, or say what about the data contradicts (2.3)."""
+def _robot_of(names: Mapping[str, str], values: Mapping[str, float]) -> RobotModel:
     words = "robot performance does not rise under manual control, as (2.3) has it,"
-    _check_range(p_min, p_max, prefix, words)
-    return RobotModel(a, p_min, p_max, p_h_max)
+    return _made(RobotModel, words, names, values)
 
 
 def build_tsc(**values: float) -> TscModel:
     """Return robot and operator."""
-    operator = build_human(**_without("human_", values), prefix="human_")
-    robot = build_robot(**_without("robot_", values), p_h_max=operator.p_max, prefix="robot_")
+    operator, robot = _human_of(OPERATOR, values), _robot_of(MACHINE, values)
     try:
         return TscModel(robot, operator)
     except ValueError as error:
@@ -140,71 +136,32 @@ def build_tsc(**values: float) -> TscModel:
         ) from error
 
 
-def _without(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of one of the two models by their names in that model alone."""
-    pairs = values.items()
-    return {name.removeprefix(prefix): x for name, x in pairs if name.startswith(prefix)}
-
-
-def _with(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values of one of the two models by their names in both."""
-    return {f"{prefix}{name}": value for name, value in values.items()}
-
-
-def check_order(limits: Mapping, prefix: str = "") -> tuple[str, str]:
-    """Refuse limits by which the least performance is not below the greatest; name both."""
-    low, high = f"{prefix}p_min", f"{prefix}p_max"
-    least, most = limits[low][0], limits[high][1]
-    if least >= most:
-        raise ValueError(f"{low} is at least {least:g}, not below {high}, at most {most:g}")
-    return low, high
-
-
-def check_excitation(runs: list[Run], limits: Mapping, prefix: str = "") -> None:
-    """Refuse data in which nothing separates the least from the greatest robot performance."""
-    ranges = check_order(limits, prefix)
-    modes = joined(runs, "mode")
-    fixed = {name for name in ranges if limits[name][0] == limits[name][1]}
-    # A mode that never changes leaves one steady state: under manual control either limit fixes the
-    # other, but an autonomous robot says nothing of p_max.
-    if np.ptp(modes) > 0.0 or (fixed and (modes[0] > 0.0 or ranges[1] in fixed)):
-        return
-    lost = ranges[1:] if modes[0] == 0.0 else ranges
-    raise IdentificationError(
-        f"these data do not determine {' and '.join(lost)}: mode never changes (it is "
-        f"{modes[0]:g} throughout); log at least one switch between manual and autonomous "
-        f"control, or fix a parameter, for example fixed={{{lost[0]!r}: ...}}",
-        lost,
-    )
-
-
-def _check_tsc(runs: list[Run], limits: Mapping) -> None:
-    """Refuse data that say nothing of the robot."""
-    check_order(limits, "human_")
-    check_excitation(runs, limits, "robot_")
-
-
 def _check_robot(runs: list[Run], limits: Mapping) -> None:
     """Refuse data that say nothing of the robot, and a p_h_max that is not of these data."""
-    _check_tsc(runs, limits)
-    (low, high), p_h = limits["human_p_max"], joined(runs, "p_h")
+    (low, high), p_h = limits["p_h_max"], joined(runs, "p_h")
     if low == high and not np.median(p_h) <= low <= 1e3 * abs(p_h.max()):
         raise ValueError(
             f"p_h_max, the greatest human performance, is {low:g}, but the measured p_h is "
             f"{np.median(p_h):.4g} in the median and {p_h.max():.4g} at most; give it in this unit"
         )
+    _check(ALONE, runs, limits)
 
 
-def _check_driven(runs: list[Run], limits: Mapping) -> None:
-    """Refuse data that say nothing of the robot, and a p_h_max that is not fixed and positive."""
-    check_excitation(runs, limits)
-    if limits["p_h_max"][0] != limits["p_h_max"][1]:
+def _check(names: Mapping[str, str], runs: list[Run], limits: Mapping) -> None:
+    """Refuse data that say nothing of the robot."""
+    of_robot, modes = _part(names, limits), joined(runs, "mode")
+    fixed = {name for name, (low, high) in of_robot.items() if low == high}
+    # A mode that never changes leaves one steady state: under manual control either limit fixes the
+    # other, but an autonomous robot says nothing of p_max.
+    enough = ["p_max"] if modes[0] == 0.0 else ["p_min", "p_max"]
+    if np.ptp(modes) == 0.0 and not fixed.intersection(enough):
+        lost = tuple(names[name] for name in enough)
         raise IdentificationError(
-            "P_r alone does not determine p_h_max, the greatest human performance, to which p_max "
-            "refers: give fixed={'p_h_max': …}",
-            ("p_h_max",),
+            f"these data do not determine {' and '.join(lost)}: mode never changes (it is "
+            f"{modes[0]:g} throughout); log at least one switch between manual and autonomous "
+            f"control, or fix a parameter, for example fixed={{{lost[0]!r}: ...}}",
+            lost,
         )
-    positive("p_h_max", limits["p_h_max"][0])
 
 
 # --- where the search starts ----------------------------------------------------------------------
@@ -250,31 +207,25 @@ def _operators(means: list[Run], limits: Mapping, length: int) -> list[dict[str,
     return [{name: float(column[k]) for name, column in columns.items()} for k in points]
 
 
-def _robot(
-    means: list[Run], limits: Mapping, length: int, p_h_max: float, drives: list
-) -> dict[str, Any]:
-    """Return the robot that suits best under P_h, an array (blocks,) for each run."""
-    from scipy import signal
-
-    robots = []
-    for a in _rates(means, limits["a"], length):
-        parts = []
-        for run, p_h in zip(means, drives, strict=True):
-            # (2.3): P_r(k) = aᵏ P_r(0) + (1 − aᵏ − rise) P_min + rise P_max.
-            kept = a ** np.arange(run.size)
-            rise = signal.lfilter([0.0, 1.0 - a], [1.0, -a], run["mode"] * p_h / p_h_max)
-            parts.append([1.0 - kept - rise, rise, run["p_r"] - kept * run["p_r"][0]])
-        *design, target = np.hstack(parts)
-        ranges = np.linalg.lstsq(np.transpose(design), target)[0]
-        robots.append((np.sum((target - ranges @ design) ** 2), a, *ranges))
-    _, a, p_min, p_max = min(robots)
-    return {"a": a, "p_min": p_min, "p_max": p_max, "p_r0": [run["p_r"][0] for run in means]}
+def _robot(means: list[Run], limits: Mapping, p_h_max: float, drives: list) -> dict[str, Any]:
+    """Return the robot that suits block means best under P_h, an array (blocks,) for each run."""
+    # (2.3) is a regression of P_r on P_r, M P_h and 1, all a block before.
+    rows = []
+    for run, p_h in zip(means, drives, strict=True):
+        p_r, drive = run["p_r"], run["mode"] * p_h
+        rows.append(np.column_stack([p_r[:-1], drive[:-1], np.ones(p_r.size - 1), p_r[1:]]))
+    *design, target = np.concatenate(rows).T
+    a, b, c = np.linalg.lstsq(np.column_stack(design), target)[0]
+    a = float(np.clip(a, *limits["a"]))
+    low = c / (1.0 - a)
+    first = [run["p_r"][0] for run in means]
+    high = low + b * p_h_max / (1.0 - a)
+    return {"a": a, "p_min": low, "p_max": high, "p_r0": first, "p_h_max": p_h_max}
 
 
-def _refined(
-    model: Model, means: list[Run], points: list[dict], limits: Mapping, length: int
-) -> list[dict]:
+def _refined(model: Model, points_of: Callable, runs: list[Run], limits: Mapping) -> list[dict]:
     """Search from points on block means, and return the optima that are nearly as good."""
+    means, length = block_means(runs)
     rates = [name for name in model.names if model.coordinates.get(name) == "rate"]
     edges = COORDINATES["rate"]
 
@@ -285,49 +236,36 @@ def _refined(
 
     coarse = over({name: np.array(ends) for name, ends in limits.items()}, length)
     problem = Problem(model, means, coarse)
-    optima = [search(problem, problem.full_vector(p), tolerance=1e-2, most=15) for p in points]
-    optima.sort(key=lambda optimum: optimum.deviance)
-    return [
-        over(optimum.values(), 1.0 / length)
-        for k, optimum in enumerate(optima)
-        if optimum.deviance < optima[0].deviance + SHALLOW
-        and not any(optimum.same_as(other) for other in optima[:k])
-    ]
+    at = [problem.full_vector(point) for point in points_of(means, limits, length)]
+    optima = [search(problem, x, tolerance=1e-2, most=15) for x in at]
+    return [over(optimum.values(), 1.0 / length) for optimum in distinct(optima, SHALLOW)]
 
 
 def human_starts(runs: list[Run], limits: Mapping) -> list[dict]:
     """Return operators near the best optima of block means."""
-    means, length = block_means(runs)
-    return _refined(HUMAN, means, _operators(means, limits, length), limits, length)
+    return _refined(HUMAN, _operators, runs, limits)
 
 
 def robot_starts(runs: list[Run], limits: Mapping) -> list[dict]:
     """Return the robot that suits block means best under the measured P_h."""
     means, length = block_means(runs)
-    p_h_max = limits["p_h_max"][0]
-    robot = _robot(means, limits, length, p_h_max, [run["p_h"] for run in means])
-    return [robot | {"a": robot["a"] ** (1.0 / length), "p_h_max": p_h_max}]
+    low, high = limits["p_h_max"]  # fixed, as P_r alone does not determine it
+    p_h_max = low if low == high else joined(runs, "p_h").max()
+    robot = _robot(means, limits, p_h_max, [run["p_h"] for run in means])
+    return [robot | {"a": robot["a"] ** (1.0 / length)}]
 
 
-def tsc_starts(runs: list[Run], limits: Mapping) -> list[dict]:
-    """Return operators near the best optima of block means, each with the robot that suits it."""
-    means, length = block_means(runs)
-    of_human = _without("human_", limits) | {"r0": limits["r0"]}
-    points = []
-    for operator in _operators(means, of_human, length):
-        values = {name: np.array([value]) for name, value in operator.items()}
-        drives = [simulate_human(run, **values)[:, 0].copy() for run in means]
-        robot = _robot(means, _without("robot_", limits), length, operator["p_max"], drives)
-        start = {"r0": operator.pop("r0"), "p_r0": robot.pop("p_r0")}
-        points.append(_with("human_", operator) | _with("robot_", robot) | start)
-    return _refined(TSC, means, points, limits, length)
+# --- the models -----------------------------------------------------------------------------------
 
+# Names in the joint model of the operator's and the robot's unknowns.
+OPERATOR = {name: f"human_{name}" for name in ("a", "beta", "p_min", "p_max")} | {"r0": "r0"}
+MACHINE = {name: f"robot_{name}" for name in ("a", "p_min", "p_max")}
+MACHINE |= {"p_h_max": "human_p_max", "p_r0": "p_r0"}
 
-# --- the three models -----------------------------------------------------------------------------
+# The robot's own names.
+ALONE = {name: name for name in MACHINE}
 
-HUMAN_NAMES = ("a", "beta", "p_min", "p_max")
-ROBOT_NAMES = ("a", "p_min", "p_max")
-COORDINATE = {"a": "rate", "beta": "odds"}
+COORDINATE = {"a": "rate", "beta": "odds", "r0": "load"}
 HINTS = {
     "a": "record a rise or a decay long enough to show its curvature",
     "beta": "record phases that take utilization to both sides of the best one",
@@ -336,73 +274,91 @@ HINTS = {
 }
 
 
-def _half_ranges(*prefixes: str) -> Callable:
+def _half_ranges(*ranges: tuple[str, str]) -> Callable:
     """Return the function that says how wide half a useful interval of performances may be."""
 
     def size(values: Mapping[str, float]) -> dict[str, float]:
         # A limit counts as determined if its half-width is below half the range.
-        widths = {}
-        for prefix in prefixes:
-            low, high = f"{prefix}p_min", f"{prefix}p_max"
-            widths[low] = widths[high] = 0.5 * abs(values[high] - values[low])
-        return widths
+        return {
+            name: 0.5 * abs(values[high] - values[low])
+            for low, high in ranges
+            for name in (low, high)
+        }
 
     return size
 
 
+def joint_model(human: Mapping[str, str], robot: Mapping[str, str], names: Iterable[str]) -> Model:
+    """Return the model of an operator who drives a robot; names are those of its parts in it."""
+
+    def simulate(run: Run, **values):
+        p_h = simulate_human(run, **_part(human, values))
+        return p_h, simulate_robot(run, **_part(robot, values), p_h=p_h)
+
+    def points(means, limits, length):
+        """Yield operators, each with the robot that suits it."""
+        for operator in _operators(means, _part(human, limits), length):
+            values = {name: np.array([value]) for name, value in operator.items()}
+            drives = [simulate_human(run, **values)[:, 0].copy() for run in means]
+            machine = _robot(means, _part(robot, limits), operator["p_max"], drives)
+            yield _joint(robot, machine) | _joint(human, operator)
+
+    def gain(**values):
+        return gain_of_human_performance(
+            *(values[robot[n]] for n in ("a", "p_min", "p_max", "p_h_max"))
+        )
+
+    model = Model(
+        tuple(names),
+        ("r0", "p_r0"),
+        ("p_h", "p_r"),
+        size=_half_ranges((human["p_min"], human["p_max"]), (robot["p_min"], robot["p_max"])),
+        simulate=simulate,
+        lanes=True,
+        coordinates=_joint(human, COORDINATE) | {robot["a"]: "rate"},
+        derived={
+            "human_b": lambda human_a, **_: 1.0 - human_a,
+            f"{robot['a'][:-1]}b": gain,
+        },
+        hints=_joint(human, HINTS) | _joint(robot, HINTS),
+        check=partial(_check, robot),
+    )
+    return replace(model, starts=partial(_refined, model, points))
+
+
 HUMAN = Model(
-    HUMAN_NAMES,
+    ("a", "beta", "p_min", "p_max"),
     ("r0",),
     ("p_h",),
-    size=_half_ranges(""),
+    size=_half_ranges(("p_min", "p_max")),
     simulate=simulate_human,
     starts=human_starts,
     lanes=True,
-    coordinates=COORDINATE | {"r0": "load"},
-    build=build_human,
+    coordinates=COORDINATE,
+    build=lambda **values: _human_of({name: name for name in values}, values),
     derived={"b": lambda a, **_: 1.0 - a},
     hints=HINTS,
-    check=lambda runs, limits: check_order(limits),
 )
 
 ROBOT = Model(
-    (*ROBOT_NAMES, "p_h_max"),
+    ("a", "p_min", "p_max", "p_h_max"),
     ("p_r0",),
     ("p_r",),
-    size=_half_ranges(""),
+    size=_half_ranges(("p_min", "p_max")),
     simulate=simulate_robot,
     starts=robot_starts,
     inputs=("mode", "p_h"),
     lanes=True,
     coordinates={"a": "rate"},
-    build=build_robot,
-    derived={
-        "b": lambda a, p_min, p_max, p_h_max, **_: gain_of_human_performance(
-            a, p_min, p_max, p_h_max
-        )
-    },
+    build=lambda **values: _robot_of(ALONE, values),
+    derived={"b": gain_of_human_performance},
     hints=HINTS,
-    check=_check_driven,
+    check=_check_robot,
 )
 
-TSC = Model(
-    (*_with("human_", dict.fromkeys(HUMAN_NAMES)), *_with("robot_", dict.fromkeys(ROBOT_NAMES))),
-    ("r0", "p_r0"),
-    ("p_h", "p_r"),
-    size=_half_ranges("human_", "robot_"),
-    simulate=simulate_tsc,
-    starts=tsc_starts,
-    lanes=True,
-    coordinates=_with("human_", COORDINATE) | {"robot_a": "rate", "r0": "load"},
+TSC = replace(
+    joint_model(OPERATOR, MACHINE, [*OPERATOR.values()][:4] + [*MACHINE.values()][:3]),
     build=build_tsc,
-    derived={
-        "human_b": lambda human_a, **_: 1.0 - human_a,
-        "robot_b": lambda robot_a, robot_p_min, robot_p_max, human_p_max, **_: (
-            gain_of_human_performance(robot_a, robot_p_min, robot_p_max, human_p_max)
-        ),
-    },
-    hints=_with("human_", HINTS) | _with("robot_", HINTS),
-    check=_check_tsc,
 )
 
 
@@ -434,9 +390,9 @@ def fit_tsc(
     noise : {"auto", "white", "correlated", "hac"}
         What the standard errors allow for; see `fit`.
     log : LogSettings, optional
-        How the log shows the model: window, step, mode_delay, stamp_error, robust.
-    **settings : float, bool or mapping
-        Fields of `LogSettings` as keywords; they replace those of `log`. And `guess`, as of `fit`.
+        How the log shows the model: window, mode_delay, stamp_error, robust.
+    **settings : float or bool
+        Fields of `LogSettings` as keywords; they replace those of `log`.
 
     Returns
     -------
@@ -487,9 +443,9 @@ def fit_human(
     noise : {"auto", "white", "correlated", "hac"}
         What the standard errors allow for; see `fit`.
     log : LogSettings, optional
-        How the log shows the model: window, step, mode_delay, stamp_error, robust.
-    **settings : float, bool or mapping
-        Fields of `LogSettings` as keywords; they replace those of `log`. And `guess`, as of `fit`.
+        How the log shows the model: window, mode_delay, stamp_error, robust.
+    **settings : float or bool
+        Fields of `LogSettings` as keywords; they replace those of `log`.
 
     Returns
     -------
@@ -545,9 +501,9 @@ def fit_robot(
     noise : {"auto", "white", "correlated", "hac"}
         What the standard errors allow for; see `fit`.
     log : LogSettings, optional
-        How the log shows the model: window, step, mode_delay, stamp_error, robust.
-    **settings : float, bool or mapping
-        Fields of `LogSettings` as keywords; they replace those of `log`. And `guess`, as of `fit`.
+        How the log shows the model: window, mode_delay, stamp_error, robust.
+    **settings : float or bool
+        Fields of `LogSettings` as keywords; they replace those of `log`.
 
     Returns
     -------
@@ -581,21 +537,26 @@ def fit_robot(
     """
     if p_h_max is not None:
         fixed = {**(fixed or {}), "p_h_max": positive("p_h_max", p_h_max)}
-    fixed, bounds = _joint("fixed", fixed), _joint("bounds", bounds)
-    if "guess" in settings:
-        settings["guess"] = _joint("guess", settings["guess"])
-    model = replace(TSC, build=_robot_part, check=_check_robot)
     try:
-        return _robot_of(fit(model, sessions, fixed, bounds, noise, log=log, **settings))
+        joint = fit(OF_ROBOT, sessions, fixed, bounds, noise, log=log, **settings)
     except IdentificationError as error:
-        text = _robots(str(error))
-        if any(name.startswith("human_") for name in error.parameters):
-            text = f"{text}; {DRIVEN}"
-        raise IdentificationError(text, tuple(map(_robots, error.parameters))) from error
-    except SessionError:
-        raise
-    except ValueError as error:
-        raise ValueError(_robots(str(error))) from error
+        if not any(name.startswith("human_") for name in error.parameters):
+            raise
+        raise IdentificationError(f"{error}; {DRIVEN}", error.parameters) from error
+    message = joint.message
+    if joint.noise != "white" and whiteness_p(joint.residuals("p_h")) < NOT_WHITE:
+        message += f" The residuals of p_h are not white: {DRIVEN}."
+    mine = [name for name in joint.parameters.index if not name.startswith("human_")]
+    free = joint.covariance.index.intersection(mine)
+    return replace(
+        joint,
+        parameters=joint.parameters.loc[mine],
+        covariance=joint.covariance.loc[free, free],
+        initial_states=joint.initial_states[["p_r0", "p_r0_stderr"]],
+        sigma={"p_r": joint.sigma["p_r"]},
+        cost=0.5 * float(sum(np.sum(run.errors["p_r"] ** 2) for run in joint.runs)),
+        message=message,
+    )
 
 
 # What to do where (2.5)-(2.6) do not describe the operator.
@@ -604,55 +565,13 @@ DRIVEN = (
     "trustlab.fit(trustlab.identification.ROBOT, sessions, fixed={'p_h_max': …})"
 )
 
-OF_JOINT = {name: f"robot_{name}" for name in ROBOT_NAMES} | {"p_h_max": "human_p_max"}
-
-
-def _robot_part(**values: float) -> RobotModel:
-    """Return the robot of a joint fit; the operator's estimates need not make a model."""
-    return build_robot(**_without("robot_", values), p_h_max=values["human_p_max"], prefix="robot_")
-
-
-def _joint(argument: str, values: Any) -> Any:
-    """Return values by the names of the joint fit."""
-    if not isinstance(values, Mapping):
-        return values  # which `fit` refuses, or None
-    ROBOT.check_names([name for name in values if name != "mode_delay"], argument)
-    return {OF_JOINT.get(name, name): value for name, value in values.items()}
-
-
-def _robots(text: str) -> str:
-    """Return a name of the joint fit, or a text of such names, with the robot's own."""
-    text = re.sub(r"\brobot_(a|b|p_min|p_max|time_constant)\b", r"\1", text)
-    return re.sub(r"\bhuman_p_max\b", "p_h_max", text)
-
-
-def _robot_of(joint: FitResult) -> FitResult:
-    """Keep the robot's part of a joint fit."""
-    rows = joint.parameters.rename(index=_robots)
-    of_human = rows.index.str.startswith("human_")
-    operator, parameters = rows[of_human], rows[~of_human]
-    rest = parameters.index.difference(ROBOT.names, sort=False)
-    parameters = parameters.loc[[*ROBOT.names, *rest]]
-    sentences = [_robots(joint.message)]
-    fixed = parameters.loc["p_h_max", "status"] == "fixed"
-    if not fixed and operator["status"].isin(["weak", "at bound"]).any():
-        # p_max refers to p_h_max, which is as good as the operator's model.
-        parameters.loc[["p_max", "p_h_max"], "status"] = "weak"
-        sentences.append(
-            "Do not rely on p_h_max, nor on p_max, which refers to it: give p_h_max=…."
-        )
-    # Prediction errors are 0 where a sample is left out.
-    errors = [np.where(run.errors["p_h"] == 0.0, 0.0, run.residual("p_h")) for run in joint.runs]
-    if joint.noise != "white" and whiteness_p(errors) < NOT_WHITE:
-        sentences.append(f"The residuals of p_h are not white: {DRIVEN}.")
-    covariance = joint.covariance.rename(index=_robots, columns=_robots)
-    free = parameters.index.intersection(covariance.index)
-    return replace(
-        joint,
-        parameters=parameters,
-        covariance=covariance.loc[free, free],
-        initial_states=joint.initial_states[["p_r0", "p_r0_stderr"]],
-        sigma={"p_r": joint.sigma["p_r"]},
-        cost=0.5 * float(sum(np.sum(run.errors["p_r"] ** 2) for run in joint.runs)),
-        message=" ".join(sentences),
-    )
+# TSC under the robot's own names; the operator's estimates need not make a model.
+OF_ROBOT = replace(
+    joint_model(
+        {**OPERATOR, "p_max": "p_h_max"},
+        ALONE,
+        ["a", "p_min", "p_max", "p_h_max", "human_a", "human_beta", "human_p_min"],
+    ),
+    build=lambda human_a, human_beta, human_p_min, **values: _robot_of(ALONE, values),
+    check=_check_robot,
+)

@@ -14,6 +14,7 @@ from scipy import stats
 import trustlab as tl
 from tests.identification.posterior import simulated_logs
 from trustlab.identification.log import read_runs
+from trustlab.identification.noise import filter_columns, process
 from trustlab.identification.posterior import density as kernel
 from trustlab.identification.posterior.density import (
     as_prior,
@@ -23,7 +24,7 @@ from trustlab.identification.posterior.density import (
     transformed,
 )
 from trustlab.identification.posterior.sampling import prior_thetas, target_of
-from trustlab.identification.problem import Problem, filter_columns, process
+from trustlab.identification.problem import Problem
 from trustlab.identification.tsc import TSC
 from trustlab.sessions.metrics import window_mean
 

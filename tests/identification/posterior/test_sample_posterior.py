@@ -35,7 +35,7 @@ from trustlab.identification.posterior.sampling import (
     walked,
     weighed,
 )
-from trustlab.identification.search import rough_optima
+from trustlab.identification.problem import rough_optima
 from trustlab.identification.tsc import TSC
 from trustlab.sessions.metrics import window_mean
 

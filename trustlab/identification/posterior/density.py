@@ -28,7 +28,8 @@ import pandas as pd
 
 from trustlab.identification.log import in_rows
 from trustlab.identification.model import COORDINATES, Coordinate, IdentificationError
-from trustlab.identification.problem import HALF_WIDTH, Problem, filter_columns, process
+from trustlab.identification.noise import HALF_WIDTH, filter_columns, process
+from trustlab.identification.problem import Problem
 from trustlab.identification.tsc import TSC
 from trustlab.models.checks import finite_array, finite_numbers, of_class, one_of, positive
 from trustlab.models.compiled import njit

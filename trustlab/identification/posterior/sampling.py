@@ -24,6 +24,7 @@ from scipy import special, stats
 
 from trustlab.identification.log import LogSettings, log_settings, read_runs
 from trustlab.identification.model import IdentificationError
+from trustlab.identification.noise import whiteness_p
 from trustlab.identification.posterior.density import (
     DELAY,
     FAR,
@@ -56,8 +57,7 @@ from trustlab.identification.posterior.density import (
     simulate,
 )
 from trustlab.identification.posterior.result import MOST_K, Posterior
-from trustlab.identification.problem import Optimum, whiteness_p
-from trustlab.identification.search import rough_optima
+from trustlab.identification.problem import Optimum, rough_optima
 from trustlab.identification.tsc import TSC
 from trustlab.models.checks import whole_number, whole_seed
 from trustlab.sessions.session import Session
@@ -409,7 +409,7 @@ def sample_posterior(
     seed : int
         Seed of the draws.
     log : LogSettings, optional
-        How the log shows the model: window, step, mode_delay, stamp_error, robust. Outliers are
+        How the log shows the model: window, mode_delay, stamp_error, robust. Outliers are
         those of the fit, and noise is in the values that windows average or in their means,
         whichever is more likely. Errors of stamps count as one that all switches share.
     **settings : float or bool
@@ -458,7 +458,7 @@ def sample_posterior(
     thetas = evaluated(resampled(sample, n, rng), target)[0]
     unused = [] if DELAY in target.free else ["mode_delay"]
     draws, before = (
-        physical(rows, runs[0].step).drop(columns=unused)
+        physical(rows, runs[0].sample_time).drop(columns=unused)
         for rows in (thetas, prior_thetas(target, 4000, rng))
     )
     return Posterior(
