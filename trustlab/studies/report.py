@@ -1,6 +1,7 @@
-"""The Results section of a paper: sentences and tables, written to HTML or LaTeX."""
+"""The Results section of a paper: sentences, tables and a figure, written to HTML or LaTeX."""
 
 import html
+import io
 import os
 import re
 from collections.abc import Hashable, Mapping
@@ -62,7 +63,7 @@ class StudyReport(Result):
 
     def write(self, path: str | os.PathLike) -> Path:
         """
-        Write text and tables to a file.
+        Write text, tables and (in HTML, of an analysis of variance) the figure to a file.
 
         Estimates have as many decimals as their errors ask for, at least two; p-values have three.
 
@@ -92,8 +93,12 @@ class StudyReport(Result):
                 f"{control.group()[-60:]!r} holds a control character, which no document can show; "
                 "rename the level or column in the data"
             )
-        document = _html if kind == ".html" else _latex
-        path.write_text(document(self.message, tables), encoding="utf-8")
+        if kind == ".html":
+            drawing = _drawn(self.result) if isinstance(self.result, RepeatedMeasures) else ""
+            document = _html(self.message, tables) + drawing
+        else:
+            document = _latex(self.message, tables)
+        path.write_text(document, encoding="utf-8")
         return path
 
 
@@ -254,6 +259,17 @@ def printed(table: pd.DataFrame) -> pd.DataFrame:
     for name in texts.columns.intersection(["parameter", "correction"]):
         texts[name] = texts[name].map(in_words)
     return texts
+
+
+def _drawn(result: RepeatedMeasures) -> str:
+    """Return the figure of an analysis as SVG."""
+    import matplotlib.pyplot as plt
+
+    drawing = io.StringIO()
+    figure = result.plot().figure
+    figure.savefig(drawing, format="svg")
+    plt.close(figure)
+    return drawing.getvalue()[drawing.getvalue().index("<svg") :]
 
 
 def _html(text: str, tables: dict[str, pd.DataFrame]) -> str:
