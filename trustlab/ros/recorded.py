@@ -206,7 +206,7 @@ def measures_table(runs: Iterable[RobotRun]) -> pd.DataFrame:
     for run in runs:
         about = run.session.metadata
         count[about.participant] += 1
-        facts = {"participant": about.participant, "position": count[about.participant]}
+        facts: dict = {"participant": about.participant, "position": count[about.participant]}
         facts |= {"condition": about.condition, "synthetic": about.synthetic}
         rows.append(facts | run.measures)
     return pd.DataFrame(rows)
