@@ -260,6 +260,7 @@ def latin_square_design(
     else:
         participants = labels_of("participants", participants, 1)
     seed = whole_number("seed", seed, least=0)
+    whole_squares = flag("whole_squares", whole_squares)
     k, n = len(conditions), len(participants)
     size = participants_needed(k)
     if n % size:
@@ -268,7 +269,7 @@ def latin_square_design(
             f"participants: {n} do not fill whole squares, as {k} conditions need a multiple of "
             f"{size}; {above} would do{f', or {below}' if below else ''}"
         )
-        if flag("whole_squares", whole_squares):
+        if whole_squares:
             raise ValueError(
                 f"{text}; latin_square_design(..., whole_squares=False) takes {n} all the same, in "
                 "a design that is not balanced, which virtual_study takes as its first argument"

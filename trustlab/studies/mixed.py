@@ -331,9 +331,10 @@ class FormulaModel(Tested):
             f"{row.term}, χ²({row.df}) = {apa_number(row.chi2)}, {apa_p(row.p_chi2)}"
             for row in self.tests.itertuples()
         ]
+        found = "was tested by likelihood ratios: " if tests else "has no effects to test"
         return (
             f"{mark(self.origin)}{self.title} ({self.n} people, {self.observations} observations) "
-            f"was tested by likelihood ratios: {'; '.join(tests)}."
+            f"{found}{'; '.join(tests)}."
         )
 
 
@@ -368,7 +369,6 @@ def formula_model(formula: str, data: pd.DataFrame, groups: Hashable) -> Formula
             term  df
     0  condition   4
     """
-    of_class("formula", formula, str)
     frame = of_class("data", data, pd.DataFrame, "with a row per trial").reset_index(drop=True)
     score, *terms = of_class("formula", formula, str).split("~")
     if len(terms) != 1 or not score.strip():
