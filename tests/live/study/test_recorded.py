@@ -187,6 +187,7 @@ def test_questionnaires_on_other_scales_are_scored(tmp_path, pages):
     study = tl.read_live_study(plan.folder)
     assert study.measures["trust_mean"].between(0, 10).all()
     answers = study.answers()
+    assert answers["text"].dtype == "str"
     rows = answers[(answers["page"] == "trust") & (answers["participant"] == "P01")]
     one = rows[rows["condition"] == "by_hand"]["answer"]
     own = study.measures.set_index(["participant", "condition"]).loc[("P01", "by_hand")]
