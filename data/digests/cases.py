@@ -436,7 +436,6 @@ CASES = {
     "write_mcap": lambda: read_back(".mcap"),
     "draft_recipe": draft,
     "vocabulary": tl.sessions.vocabulary,
-    "list_recipes": lambda: list(tl.sessions.list_recipes()),
     "with_performance": lambda: lab_sessions()[0].with_performance(window=10.0).table(),
     "with_performance_uav": lambda: flight_performance("uav_tracking"),
     "with_performance_mixed": lambda: flight_performance("mixed_initiative"),

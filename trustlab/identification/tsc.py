@@ -136,19 +136,21 @@ def build_tsc(**values: float) -> TscModel:
         ) from error
 
 
-def _check(names: Mapping[str, str], runs: list[Run], limits: Mapping) -> None:
-    """Refuse data that say nothing of the robot, and a P_h,max that is not of these data."""
-    of_robot, modes, p_h = _part(names, limits), joined(runs, "mode"), joined(runs, "p_h")
-    fixed = {name for name, (low, high) in of_robot.items() if low == high}
-    most = of_robot["p_h_max"][0]
-    # What is held of an operator who is fitted too may be another person's.
-    alone = names["p_h_max"] == "p_h_max"
-    if alone and "p_h_max" in fixed and not np.median(p_h) <= most <= 1e3 * abs(p_h.max()):
+def _check_robot(runs: list[Run], limits: Mapping) -> None:
+    """Refuse data that say nothing of the robot, and a p_h_max that is not of these data."""
+    (low, high), p_h = limits["p_h_max"], joined(runs, "p_h")
+    if low == high and not np.median(p_h) <= low <= 1e3 * abs(p_h.max()):
         raise ValueError(
-            f"{names['p_h_max']}, the greatest human performance, is {most:g}, but the measured "
-            f"p_h is {np.median(p_h):.4g} in the median and {p_h.max():.4g} at most; give it in "
-            "this unit"
+            f"p_h_max, the greatest human performance, is {low:g}, but the measured p_h is "
+            f"{np.median(p_h):.4g} in the median and {p_h.max():.4g} at most; give it in this unit"
         )
+    _check(ALONE, runs, limits)
+
+
+def _check(names: Mapping[str, str], runs: list[Run], limits: Mapping) -> None:
+    """Refuse data that say nothing of the robot."""
+    of_robot, modes = _part(names, limits), joined(runs, "mode")
+    fixed = {name for name, (low, high) in of_robot.items() if low == high}
     # A mode that never changes leaves one steady state: under manual control either limit fixes the
     # other, but an autonomous robot says nothing of p_max.
     enough = ["p_max"] if modes[0] == 0.0 else ["p_min", "p_max"]
@@ -260,6 +262,9 @@ OPERATOR = {name: f"human_{name}" for name in ("a", "beta", "p_min", "p_max")} |
 MACHINE = {name: f"robot_{name}" for name in ("a", "p_min", "p_max")}
 MACHINE |= {"p_h_max": "human_p_max", "p_r0": "p_r0"}
 
+# The robot's own names.
+ALONE = {name: name for name in MACHINE}
+
 COORDINATE = {"a": "rate", "beta": "odds", "r0": "load"}
 HINTS = {
     "a": "record a rise or a decay long enough to show its curvature",
@@ -345,10 +350,10 @@ ROBOT = Model(
     inputs=("mode", "p_h"),
     lanes=True,
     coordinates={"a": "rate"},
-    build=lambda **values: _robot_of({name: name for name in values}, values),
+    build=lambda **values: _robot_of(ALONE, values),
     derived={"b": gain_of_human_performance},
     hints=HINTS,
-    check=partial(_check, {name: name for name in MACHINE}),
+    check=_check_robot,
 )
 
 TSC = replace(
@@ -561,7 +566,6 @@ DRIVEN = (
 )
 
 # TSC under the robot's own names; the operator's estimates need not make a model.
-ALONE = {name: name for name in MACHINE}
 OF_ROBOT = replace(
     joint_model(
         {**OPERATOR, "p_max": "p_h_max"},
@@ -569,4 +573,5 @@ OF_ROBOT = replace(
         ["a", "p_min", "p_max", "p_h_max", "human_a", "human_beta", "human_p_min"],
     ),
     build=lambda human_a, human_beta, human_p_min, **values: _robot_of(ALONE, values),
+    check=_check_robot,
 )

@@ -259,6 +259,7 @@ def latin_square_design(
         participants = tuple(range(1, whole_number("participants", participants) + 1))
     else:
         participants = labels_of("participants", participants, 1)
+    whole_squares = flag("whole_squares", whole_squares)
     seed = whole_number("seed", seed, least=0)
     whole_squares = flag("whole_squares", whole_squares)
     k, n = len(conditions), len(participants)
