@@ -261,7 +261,6 @@ def latin_square_design(
         participants = labels_of("participants", participants, 1)
     whole_squares = flag("whole_squares", whole_squares)
     seed = whole_number("seed", seed, least=0)
-    whole_squares = flag("whole_squares", whole_squares)
     k, n = len(conditions), len(participants)
     size = participants_needed(k)
     if n % size:

@@ -331,10 +331,9 @@ class FormulaModel(Tested):
             f"{row.term}, χ²({row.df}) = {apa_number(row.chi2)}, {apa_p(row.p_chi2)}"
             for row in self.tests.itertuples()
         ]
-        found = "was tested by likelihood ratios: " if tests else "has no effects to test"
         return (
             f"{mark(self.origin)}{self.title} ({self.n} people, {self.observations} observations) "
-            f"{found}{'; '.join(tests)}."
+            f"was tested by likelihood ratios: {'; '.join(tests)}."
         )
 
 
@@ -369,6 +368,7 @@ def formula_model(formula: str, data: pd.DataFrame, groups: Hashable) -> Formula
             term  df
     0  condition   4
     """
+    of_class("formula", formula, str)
     frame = of_class("data", data, pd.DataFrame, "with a row per trial").reset_index(drop=True)
     score, *terms = of_class("formula", formula, str).split("~")
     if len(terms) != 1 or not score.strip():

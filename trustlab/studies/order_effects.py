@@ -8,12 +8,10 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import of_class
 from trustlab.studies.pairs import estimates_of, holm
 from trustlab.studies.table import (
     Tested,
     complete_scores,
-    label_column,
     labelled,
     read_cells,
     read_factors,
@@ -121,9 +119,6 @@ def order_effects(
     3                    carry_over    4   28
     4  condition_without_carry_over    4   32
     """
-    of_class("frame", frame, pd.DataFrame, "with a row per subject and position")
-    for argument, name in {"position": position, "condition": condition}.items():
-        label_column(frame, argument, name)
     names = None if order is None else {condition: order}
     levels, _ = read_factors(frame, dv, [position, condition], subject, order=names)
     labels, places = levels[condition], levels[position]

@@ -46,15 +46,12 @@ class StudyReport(Result):
         What kind of data these are where they were not measured; else empty.
     """
 
+    title = "Report"
+
     result: Any
     message: str
     tables: dict[str, pd.DataFrame]
     origin: str
-
-    @property
-    def title(self) -> str:
-        """The origin, where data were not measured."""
-        return f"Report [{self.origin}]" if self.origin else "Report"
 
     def table(self) -> pd.DataFrame:
         """Return what `result.table()` does, or the table itself."""
@@ -82,10 +79,8 @@ class StudyReport(Result):
         """
         path = Path(path)
         kind = one_of(f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex"))
-        tables = {
-            title if self.origin in title else f"{title} [{self.origin}]": printed(table)
-            for title, table in self.tables.items()
-        }
+        mark = f" [{self.origin}]" if self.origin else ""
+        tables = {title + mark: printed(table) for title, table in self.tables.items()}
         words = "\n".join([self.message, *tables, *(table.to_csv() for table in tables.values())])
         if control := re.search(r".*[\x00-\x08\x0b-\x1f\x7f-\x9f]", words):
             raise ValueError(

@@ -99,14 +99,13 @@ def apa_table(frame: pd.DataFrame) -> pd.DataFrame:
     ----------
     frame : pandas.DataFrame
         Results; columns p, ``p_…`` and ``mauchly_p…`` hold p-values. What is no column of floats,
-        and levels (a, b, level, condition), stay as they are.
+        such as levels, stays as it is.
         Estimates have as many decimals, at least two, as show two digits of their standard error,
         or else of the interval's half width or the standard deviation; other columns as many as
         show two digits of a typical number.
     """
     table = frame.copy()
-    levels = ["a", "b", "level", "condition"]
-    for name in frame.select_dtypes("float").drop(columns=levels, errors="ignore"):
+    for name in frame.select_dtypes("float").columns:
         values = frame[name].to_numpy()
         if str(name).startswith(("p_", "mauchly_p")) or name == "p":
             texts = [apa_p(value).removeprefix("p ").removeprefix("= ") for value in values]
