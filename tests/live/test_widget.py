@@ -159,6 +159,7 @@ def test_schemes_of_ones_own_allocate_and_lead(tmp_path):
     heard(live, begin=True, window="a")
     assert heard(live, window="a", k=0, commands=[[0.0, 0.0, 3]] * 400, seen=0)["done"]
     assert live.session["leader"][[0, 150, 300]].tolist() == [1, 2, 3]
+    assert live.session.metadata.more["policy"] == "in turn"
     assert live.verified
     with pytest.raises(ValueError, match="holds another run"):
         tl.LiveTeam("by_hand", settings, log=tmp_path / "b.jsonl")

@@ -4,6 +4,7 @@ import math
 import shutil
 import struct
 import time
+from dataclasses import replace
 from threading import Event
 
 import numpy as np
@@ -461,6 +462,9 @@ def test_measures_join_those_of_a_virtual_study(node, tmp_path):
     assert joined.analysis("p_r").n == 7
     assert "recorded" in joined.table().attrs["origin"]
     assert tl.repeated_measures(table, "p_r", "condition", "participant").n == 3
+    nobody = replace(runs[0], session=runs[0].session.with_metadata(participant=None))
+    assert measures_table([nobody, nobody])["position"].tolist() == [1, 2]
+    assert measures_table([]).empty
 
 
 @pytest.mark.parametrize("back", [0.3, 2.0, 3600.0, -3600.0])

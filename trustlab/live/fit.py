@@ -110,14 +110,15 @@ def identified(content: dict, session: Session) -> dict:
 
     try:
         fit = fit_holding(session, model_of(content["stand_in"]["model"]))
-        model: Any = fit.model
+    except ValueError as error:
+        return stand_in(content, f"no model: {str(error)[:160].rpartition(' ')[0]} …")
+    model: Any = fit.model
+    try:
         with warnings.catch_warnings():  # what it warns of is recorded
             warnings.simplefilter("ignore")
             chosen = choose_thresholds(model)
         if math.isnan(chosen.lower) or not limit_cycle(model, chosen.lower, chosen.upper).exists:
             raise ValueError(chosen.reason)
-    except IdentificationError as error:
-        return stand_in(content, f"no model: {str(error)[:160].rpartition(' ')[0]} …")
     except ValueError:
         return stand_in(content, "the model that fits has no thresholds")
     names = ", ".join(fit.parameters.index[fit.parameters["status"] == "fixed"])

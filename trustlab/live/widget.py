@@ -456,4 +456,5 @@ class LiveTeam(LiveWidget):
         content = of_class("settings", settings, LeadingSettings).as_json()
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
         config = team.team_config(content, condition, seed) | {"parts": parts}
+        config["facts"] |= parts
         super().__init__(task, config, participant, log, language)

@@ -2,6 +2,7 @@
 
 import json
 from base64 import b64decode, b64encode
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -201,10 +202,11 @@ def measures_table(runs: Iterable[RobotRun]) -> pd.DataFrame:
         participant, position (from 1), condition, synthetic, and every measure.
     """
     rows = []
+    count: Counter = Counter()
     for run in runs:
         about = run.session.metadata
-        facts = {name: getattr(about, name) for name in ("participant", "condition", "synthetic")}
+        count[about.participant] += 1
+        facts: dict = {"participant": about.participant, "position": count[about.participant]}
+        facts |= {"condition": about.condition, "synthetic": about.synthetic}
         rows.append(facts | run.measures)
-    table = pd.DataFrame(rows)
-    table.insert(1, "position", table.groupby("participant").cumcount() + 1)
-    return table
+    return pd.DataFrame(rows)

@@ -14,8 +14,10 @@ import pytest
 import trustlab as tl
 from tests.live.cases import entries, events
 from trustlab.live.fit import FROM_FIT, FROM_PART, FROM_STAND_IN, identified
+from trustlab.live.hands import HumanHand
 from trustlab.live.study.recorded import write_export
-from trustlab.live.tasks.ground_robot import model_of
+from trustlab.live.task import scripted_commands
+from trustlab.live.tasks.ground_robot import TASK, drive_config, model_of
 from trustlab.live.trial import Trial
 from trustlab.testbeds import published_operator
 from trustlab.testbeds.ground_robot.conditions import drive_modes
@@ -185,6 +187,7 @@ def test_questionnaires_on_other_scales_are_scored(tmp_path, pages):
     study = tl.read_live_study(plan.folder)
     assert study.measures["trust_mean"].between(0, 10).all()
     answers = study.answers()
+    assert answers["text"].dtype == "str"
     rows = answers[(answers["page"] == "trust") & (answers["participant"] == "P01")]
     one = rows[rows["condition"] == "by_hand"]["answer"]
     own = study.measures.set_index(["participant", "condition"]).loc[("P01", "by_hand")]
@@ -327,6 +330,18 @@ def test_a_drive_too_short_falls_back_to_the_plan_and_says_so(make_plan):
     assert found["why"].startswith("no model: ")
     assert (found["model"], found["thresholds"]) == tuple(plan.content["stand_in"].values())
     assert model_of(found["model"]) == tl.published_models()["2"]
+
+
+def test_a_person_better_than_the_stand_in_at_the_best_has_a_model_too():
+    """What a hand leaves weak is held, also where P_h,max of the stand-in is below its median."""
+    content = tl.DriveSettings().as_json()
+    config = drive_config(content, "identification", 0)
+    _, rows = scripted_commands(TASK, config, HumanHand(config, 0))
+    session = TASK.session(config, rows)
+    assert np.median(session["p_h"]) > content["stand_in"]["model"]["human"]["p_max"]
+    found = identified(content, session)
+    assert found["source"] == FROM_PART
+    assert "human_p_max" in found["why"]
 
 
 @pytest.mark.long

@@ -214,6 +214,31 @@ def test_many_participants_may_have_more_files_than_a_process_usually_has(make_p
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
+def test_connections_leave_room_for_the_files_of_a_process_that_may_have_few(
+    make_plan, monkeypatch
+):
+    plan = make_plan()
+    most = 2 * len(plan.orders) + 50 + 30
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (most, most))
+    monkeypatch.setattr(resource, "setrlimit", lambda kind, limits: None)
+    with StudyServer(plan) as server:
+        place = ("127.0.0.1", server.port)
+        held = [socket.create_connection(place, timeout=5) for _ in range(50)]
+        closed = 0
+        for each in held[30:]:
+            each.settimeout(2.0)
+            with suppress(TimeoutError, ConnectionError):
+                closed += each.recv(1) == b""
+        for each in held:
+            each.close()
+    assert closed == 20
+
+
+def test_at_the_usual_port_browsers_leave_it_out(make_plan):
+    server = StudyServer(make_plan(), 80)
+    assert {"127.0.0.1", "localhost", "127.0.0.1:80"} <= server.hosts
+
+
 # what is kept
 # --------------------------------------------------------------------------------------------------
 

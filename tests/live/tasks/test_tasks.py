@@ -41,6 +41,12 @@ class ByCommand:
         return choice - 1 if choice else now.leader or 0
 
 
+def test_whole_numbers_are_so_however_they_are_given():
+    assert repr(tl.DriveSettings(laps=2.0).laps) == "2"
+    team = tl.live.LeadingSettings(robots=4.0, goals=2.0).as_json()
+    assert (repr(team["robots"]), repr(team["goals"])) == ("4", "2")
+
+
 def test_a_team_is_that_of_the_loop():
     session, config, commands = a_session("team", "by_hand")
     ring = np.array([[0, 1, 0, 1], [1, 0, 1, 0], [0, 1, 0, 1], [1, 0, 1, 0]], float)

@@ -304,7 +304,8 @@ class RecordedStudy:
         words = frame["answer"].map(lambda answer: isinstance(answer, str)).astype(bool)
         frame["text"] = frame["answer"].where(words, "")
         frame["answer"] = frame["answer"].mask(words)
-        return self._labelled(frame.astype({"position": float, "answer": float}), group=False)
+        types = {"position": float, "answer": float, "text": "str"}
+        return self._labelled(frame.astype(types), group=False)
 
     def scores(self) -> dict[str, ScaleScores]:
         """

@@ -61,7 +61,6 @@ LARGEST_BODY = 100_000
 MOST_CONNECTIONS, MOST_OF_ADDRESS = 1000, 100
 """Connections in all, and of one address; behind a proxy all have its address."""
 
-MOST_FILES = 65_536
 WRITERS = 64
 """Requests that may wait for the disk at once: a slow one holds up its own participant alone."""
 
@@ -301,13 +300,13 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
 class Listener(tornado.httpserver.HTTPServer):
     """A server that closes connections beyond a number, in all and of an address."""
 
-    most_of_address = MOST_OF_ADDRESS
+    most, most_of_address = MOST_CONNECTIONS, MOST_OF_ADDRESS
 
     def handle_stream(self, stream: Any, address: tuple) -> None:
         """Take a connection, or close it."""
         contexts: list[Any] = [connection.context for connection in self._connections]
         same = sum(context.address[:1] == address[:1] for context in contexts)
-        if len(contexts) >= MOST_CONNECTIONS or same >= self.most_of_address:
+        if len(contexts) >= self.most or same >= self.most_of_address:
             stream.close()
         else:
             super().handle_stream(stream, address)
@@ -443,7 +442,10 @@ class StudyServer:
     @property
     def hosts(self) -> set[str]:
         """The names by which a request may call this server."""
-        return {f"{HOME}:{self.port}", f"localhost:{self.port}", urlsplit(self.base).netloc}
+        names = {f"{HOME}:{self.port}", f"localhost:{self.port}", urlsplit(self.base).netloc}
+        if self.port == 80:  # browsers leave the usual port out
+            names |= {HOME, "localhost"}
+        return names
 
     @property
     def experimenter(self) -> str:
@@ -489,7 +491,8 @@ class StudyServer:
             idle_connection_timeout=HEADER_TIME,
             body_timeout=30.0,
         )
-        listener.most_of_address = MOST_CONNECTIONS if self.url else MOST_OF_ADDRESS
+        listener.most = min(MOST_CONNECTIONS, max(self.free_files, 10))
+        listener.most_of_address = listener.most if self.url else MOST_OF_ADDRESS
         listener.add_sockets(sockets)
         self.loop, self.ending = asyncio.get_running_loop(), asyncio.Event()
         self.loop.set_default_executor(ThreadPoolExecutor(WRITERS))
@@ -522,10 +525,13 @@ class StudyServer:
     def _open(self, files: ExitStack) -> None:
         """Open all that is served, and refuse what cannot be."""
         self.holder("")
-        # Everybody has two logs and some connections: more files than a process usually may have.
+        # Everybody has two logs, and the process some files of its own.
+        own = 2 * len(self.plan.orders) + 50
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-        most = MOST_FILES if hard == resource.RLIM_INFINITY else min(MOST_FILES, hard)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, most), hard))
+        most = own + MOST_CONNECTIONS
+        soft = max(soft, most if hard == resource.RLIM_INFINITY else min(most, hard))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        self.free_files = soft - own
         for code in self.plan.present():
             try:
                 self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)

@@ -158,7 +158,7 @@ class DriveSettings(Checked):
 
     def __post_init__(self):
         super().__post_init__()
-        whole_number("laps", self.laps, most=1000)
+        self.__dict__["laps"] = whole_number("laps", self.laps, most=1000)
         if (self.model is None) != (self.thresholds is None):
             raise ValueError("model and thresholds belong together; give both or neither")
         self.as_json()

@@ -112,8 +112,8 @@ class LeadingSettings(HandSettings):
 
     def __post_init__(self):
         super().__post_init__()
-        whole_number("robots", self.robots, least=3, most=6)
-        whole_number("goals", self.goals, most=20)
+        self.__dict__["robots"] = whole_number("robots", self.robots, least=3, most=6)
+        self.__dict__["goals"] = whole_number("goals", self.goals, most=20)
 
 
 def ring(count: int) -> np.ndarray:
