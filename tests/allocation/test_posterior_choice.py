@@ -15,6 +15,7 @@ import pytest
 
 import trustlab as tl
 from tests.allocation.cases import shape
+from trustlab.allocation import thresholds
 
 LOGS = Path(__file__).parents[1] / "identification" / "posterior" / "simulated_logs.py"
 
@@ -64,6 +65,19 @@ def test_a_probability_is_that_of_the_motion_itself(clear, operators, name, marg
     around = run["r"].min() <= tsc.human.beta <= run["r"].max()
     assert choice.probability == float(around) == 1.0
     assert tl.choose_thresholds(tsc, margin=margin, points=14).probability == 1.0
+
+
+def test_where_no_pair_is_probable_one_alone_is_followed_with_all_draws(unclear, monkeypatch):
+    """That is most of the time that a posterior takes."""
+    follow, followed = thresholds.from_both_starts, []
+    monkeypatch.setattr(
+        thresholds,
+        "from_both_starts",
+        lambda models, pair: followed.append(pair) or follow(models, pair),
+    )
+    with pytest.warns(UserWarning, match="No thresholds"):
+        choice = tl.choose_thresholds(unclear, points=8, confidence=0.999)
+    assert followed == [(choice.lower, choice.upper)]
 
 
 def test_a_clear_log_gets_thresholds_that_do_what_is_said(clear, operators):

@@ -213,7 +213,7 @@ def test_tsc_is_worked_out_from_performance(operators):
     estimate = estimate_thresholds(tl.Session(run[["mode", "p_r", "p_h"]]), model=model)
     assert estimate.lower == pytest.approx(0.02, abs=0.01)
     assert estimate.upper == pytest.approx(0.45, abs=0.01)
-    with pytest.raises(tl.SessionError, match="no column 'tsc'"):
+    with pytest.raises(tl.SessionError, match="give model="):
         estimate_thresholds(tl.Session(run[["mode", "p_r", "p_h"]]))
     with pytest.raises(tl.SessionError, match="never changes"):
         estimate_thresholds(tl.Session(run[["mode", "tsc"]].iloc[:50]))

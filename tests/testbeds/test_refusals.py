@@ -30,6 +30,7 @@ def endless(k):
     [
         (nx.Graph([("a", "b"), ("c", "d")]), {}, r"parts are \['a', 'b'\]; \['c', 'd'\]"),
         ({0.0: PATH, 5.0: nx.empty_graph(3)}, {}, r"from t = 5 s on: .*parts are \[0\]; \[1\]"),
+        (nx.MultiGraph([(0, 1), (0, 1)]), {}, "parallel edges"),
         (nx.DiGraph([(0, 1), (0, 2)]), {}, "it has no spanning tree"),
         (np.array([[0.0, -1.0], [-1.0, 0.0]]), {}, "from 0 to 1 it is -1.0"),
         ({0.0: PATH, -1.0: PATH}, {}, "must be 0 and others after 0"),

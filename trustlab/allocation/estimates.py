@@ -141,9 +141,14 @@ def estimate_thresholds(
             raise SessionError(
                 f"{run.label}: thresholds need a mode of 0 or 1, not shares", run.metadata.source
             )
-        if "tsc" in run or model is None:
-            run.require("tsc")
+        if "tsc" in run:
             tsc = run["tsc"]
+        elif model is None:
+            raise SessionError(
+                f"{run.label} has no column 'tsc'; give model=TscModel(...) to compute it from "
+                "p_r and p_h",
+                run.metadata.source,
+            )
         else:
             run.require("p_r", "p_h")
             tsc = model.value(run["p_r"], run["p_h"])

@@ -21,6 +21,7 @@ from trustlab.allocation.steady import (
     MEAN,
     SCREEN,
     R,
+    coarse,
     grid_of_pairs,
     points,
     survey,
@@ -40,7 +41,7 @@ MOST_DWELLS = 40
 MOST_SAMPLES = 20_000
 DENSE = 600
 
-# How many of the best pairs of thresholds, screened over short runs, are followed at length.
+# How many of the best pairs of thresholds, screened coarsely, are followed at length.
 FOLLOWED = 25
 
 
@@ -323,7 +324,7 @@ def _best_thresholds(
     low, high = sorted([limits.lower, limits.upper])
     margin = 0.01 * max(high - low, 1e-6)
     pairs = grid_of_pairs(low + margin, high - margin, 40)
-    screened = points(survey([tsc], pairs, SCREEN), [tsc], weight)[0]
+    screened = points(survey(coarse([tsc]), pairs, SCREEN), [tsc], weight)[0]
     followed = []
     for k in np.argsort(-np.nan_to_num(screened, nan=-np.inf), kind="stable"):
         motion = survey([tsc], pairs[k : k + 1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,9 @@ ENDLESS = 50.0
 ALONE = 30.0, 300
 EXACT = 20.0, 100
 SCREEN = 7.0, 4
+
+# Samples per time constant of the quicker process that screening keeps.
+QUICK = 50
 
 # Difference of the ranges of utilization from which on two motions count as two.
 COEXIST = 1e-3
@@ -98,6 +101,17 @@ def longest_phase(tsc: TscModel) -> int:
             "longer sample time (a^m for both a, and b_pr accordingly)"
         )
     return int(ENDLESS * slowest) + 100
+
+
+def coarse(models: list[TscModel]) -> list[TscModel]:
+    """Return models at sample times as many times as long as QUICK allows."""
+    longer = []
+    for tsc in models:
+        times = max(1, int(min(tsc.robot.time_constant, tsc.human.time_constant) / QUICK))
+        a = tsc.robot.a**times
+        robot = replace(tsc.robot, a=a, b=tsc.robot.b * (1.0 - a) / (1.0 - tsc.robot.a))
+        longer.append(TscModel(robot, replace(tsc.human, a=tsc.human.a**times)))
+    return longer
 
 
 def survey(

@@ -19,6 +19,7 @@ from trustlab.allocation.steady import (
     SCREEN,
     LimitCycle,
     R,
+    coarse,
     encloses_beta,
     from_both_starts,
     grid_of_pairs,
@@ -43,9 +44,9 @@ from trustlab.models.checks import (
 from trustlab.models.display import Result, axes_or_new
 from trustlab.models.tsc import TscModel
 
-# Draws of a posterior by which pairs are screened, and pairs that are then followed with all draws
-# until one keeps its promise.
-SCREENED = 150
+# Draws of a posterior by which pairs are screened, and pairs that are then followed sample by
+# sample, with all draws, until one keeps its promise.
+SCREENED = 200
 FOLLOWED = 6
 
 # How many of the best pairs are looked at under more data.
@@ -263,9 +264,9 @@ def choose_thresholds(
     if not reason:
         off = share * (limits.upper - limits.lower)
         pairs = grid_of_pairs(limits.lower + off, limits.upper - off, count)
-        table = _screened(models[:SCREENED], pairs, objective)
-        order = _order(table, asked, enclose)
-        lower, upper, probability, around = _followed(models, pairs[order], asked, enclose)
+        table = _screened(coarse(models[:SCREENED]) if of_posterior else models, pairs, objective)
+        order, count = _order(table, asked, enclose)
+        lower, upper, probability, around = _followed(models, pairs[order[:count]], asked, enclose)
         around_beta = "keeps switching around β" if enclose else "keeps switching"
         if probability < asked:
             reason = f"no pair between {pairs.min():.3f} and {pairs.max():.3f} {around_beta}"
@@ -358,13 +359,16 @@ def _screened(models: list[TscModel], pairs: np.ndarray, objective: str | float)
     return pd.DataFrame({"lower": pairs[:, 0], "upper": pairs[:, 1], **means})
 
 
-def _order(table: pd.DataFrame, asked: float, enclose: bool) -> np.ndarray:
-    """Return which pairs are best: those that do what is asked, else those nearest to it."""
+def _order(table: pd.DataFrame, asked: float, enclose: bool) -> tuple[np.ndarray, int]:
+    """
+    Return which pairs are best, those that do what is asked, else those nearest to it, and how many
+    of them to follow.
+    """
     share = table["p_encloses" if enclose else "p_switches"]
     able = share >= asked
     first = table["objective"].where(able, share)
     second = table["mean_p_r"].where(able, -table["off_beta"])
-    return np.lexsort((-second, -first, ~able))
+    return np.lexsort((-second, -first, ~able)), FOLLOWED if able.any() else 1
 
 
 def _followed(
@@ -375,7 +379,7 @@ def _followed(
     that utilization encloses β; decided sample by sample, from β and from rest, for all models.
     """
     tried = []
-    for lower, upper in pairs[:FOLLOWED].tolist():
+    for lower, upper in pairs.tolist():
         motions = from_both_starts(models, (lower, upper))
         holds, around = (
             float(_holds(motions, models, each).all(axis=0).mean()) for each in (enclose, True)
@@ -395,7 +399,7 @@ def _what_would_help(posterior: Posterior, pairs: np.ndarray, asked: float, encl
     for times in LONGER:
         nearer = thetas.copy()
         nearer[:, :SHARED] -= (1.0 - times**-0.5) * apart
-        models = tsc_models(physical(nearer, 0.1))
+        models = coarse(tsc_models(physical(nearer, 0.1)))
         holds = _holds(survey(models, pairs, SCREEN), models, enclose)
         if holds.mean(axis=0).max() >= asked:
             return f"Record about {times} times as much: {minutes * times:.0f} minutes."

@@ -76,6 +76,12 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
 
 def _matrix(graph) -> tuple[tuple, np.ndarray]:
     """Return names and adjacency as a user gives them."""
+    if hasattr(graph, "is_multigraph") and graph.is_multigraph():
+        import networkx
+
+        plain = networkx.DiGraph(graph) if graph.is_directed() else networkx.Graph(graph)
+        if plain.number_of_edges() < graph.number_of_edges():
+            raise GraphError("the graph has parallel edges; pass networkx.Graph(graph)")
     try:
         if hasattr(graph, "nodes"):
             import networkx
