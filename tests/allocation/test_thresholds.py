@@ -14,12 +14,12 @@ import pytest
 import trustlab as tl
 from tests.allocation.cases import drawn_model
 from trustlab.allocation import (
-    ThresholdEstimate,
     choose_thresholds,
     estimate_thresholds,
     followed_suggestions,
     relative_performance,
 )
+from trustlab.allocation.estimates import _apart
 from trustlab.reproduction import published_table
 
 
@@ -194,17 +194,42 @@ def test_choices_say_which_limits_they_keep(operators):
         assert "does not cover" not in within.message
 
 
-def test_participant_3_of_table_2_3_is_not_told_apart():
-    """Mean ± SD overlap for participant 3 alone, 0.414/0.42."""
-    printed = published_table("2.3").astype(float)
+def exactly(mean, sd, n):
+    """A sample of this size with exactly this mean and SD."""
+    values = np.sin(np.arange(1.0, n + 1.0))
+    return mean + sd * (values - values.mean()) / values.std(ddof=1)
+
+
+@pytest.mark.parametrize("n", [4, 8, 16, 100])
+def test_samples_like_those_of_table_2_3_are_told_apart_or_not(n):
+    """Mean ± SD overlap for participant 3 alone, 0.414/0.42: not told apart by any n switches."""
+    printed, rng = published_table("2.3").astype(float), np.random.default_rng(0)
+    p = {}
     for name in printed.columns:
-        rows = {
-            side: {"mean": printed.loc[(key, "mean"), name], "sd": printed.loc[(key, "sd"), name]}
-            for side, key in (("lower", "TSC_l"), ("upper", "TSC_u"))
+        groups = {
+            key: exactly(printed.loc[(side, "mean"), name], printed.loc[(side, "sd"), name], n)
+            for key, side in (("lower", "TSC_l"), ("upper", "TSC_u"))
         }
-        estimate = ThresholdEstimate(pd.DataFrame(), pd.DataFrame(rows).T)
-        assert estimate.distinguishable == (name != "3")
-        assert name != "3" or estimate.separation == pytest.approx(0.414 / 0.42)
+        separation, p[name] = _apart(groups, rng)
+        assert (separation < 1.0) == (name == "3")
+        assert name != "3" or separation == pytest.approx(0.414 / 0.42)
+    assert max(p["1"], p["2"]) < 0.01
+    assert p["3"] > 0.4
+    assert p["5"] < (0.05 if n > 16 else 1.0)
+    assert p["4"] < (0.01 if n >= 8 else 1.0)
+
+
+@pytest.mark.parametrize("sizes", [(3, 3), (4, 12), (20, 20)])
+def test_the_test_keeps_its_level_with_few_switches(sizes):
+    """Normal switches whose mean ± SD just touch: rejected in at most 5 % of samples."""
+    rng, rejected = np.random.default_rng(1), 0
+    for _ in range(1500):
+        groups = {
+            "lower": rng.normal(0.0, 0.1, sizes[0]),
+            "upper": rng.normal(0.3, 0.2, sizes[1]),
+        }
+        rejected += _apart(groups, rng)[1] < 0.05
+    assert 0.01 < rejected / 1500 < 0.065
 
 
 def test_tsc_is_worked_out_from_performance(operators):

@@ -22,7 +22,7 @@ from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
 
 # Half width of the band around the means that `share_within` counts, as Table 2.3 does; bootstrap
-# resamples of the means.
+# resamples of the means, and draws for `p_overlap`.
 WITHIN, RESAMPLES = 0.15, 2000
 SIDES = ("lower", "upper")
 SUMMARY = ["n", "mean", "sd", "ci_low", "ci_high", "share_within"]
@@ -44,28 +44,26 @@ class ThresholdEstimate:
     summary : pandas.DataFrame
         Index `threshold`; columns n, mean, sd, ci_low, ci_high (bootstrap 95 % interval of the
         mean), share_within (of the switches within ±0.15 of their mean).
-    """
-
-    switches: pd.DataFrame
-    summary: pd.DataFrame
-
-    @property
-    def separation(self) -> float:
-        """
+    separation : float
         How far the means are apart in sums of the two SDs, (mean upper − mean lower)/(SD lower + SD
         upper). Above 1, mean ± SD do not overlap, the way in which Table 2.3 sets participant 3
         (0.99) apart from the others (1.5 to 6.5). NaN with fewer than two switches in one
         direction.
-        """
-        return float((self.upper - self.lower) / self.summary["sd"].sum(skipna=False))
+    p_overlap : float
+        One-sided p against the hypothesis that `separation` is 1 or less; NaN likewise.
+    """
+
+    switches: pd.DataFrame
+    summary: pd.DataFrame
+    separation: float
+    p_overlap: float
 
     @property
     def distinguishable(self) -> bool:
         """
-        Whether single switches tell the thresholds apart: `separation` above 1; with few switches
-        that is largely chance.
+        Whether single switches are shown to tell the thresholds apart: `p_overlap` below 0.05.
         """
-        return self.separation > 1.0
+        return bool(self.p_overlap < 0.05)
 
     @property
     def lower(self) -> float:
@@ -112,6 +110,14 @@ def estimate_thresholds(
 
     Notes
     -----
+    Rule (2.8) hands over at one level of TSC and takes over at a lower one. An operator follows it,
+    as far as switches can show, when nearly every single switch lies on its own side of a cut
+    between the two. With normal spread the best cut at equal distances in SDs leaves Φ(−s) of the
+    switches on the wrong side, s being `separation`; s = 1, where mean ± SD touch, leaves 16 %. The
+    test asks whether s exceeds 1. Its p is a generalized one (Weerahandi, 1993): means and SDs are
+    drawn from what normal samples of these sizes say about them. It keeps its level with few
+    switches.
+
     A switch shows TSC when the hand moved, not when the operator decided: TSC runs on during the
     reaction, so that means lie beyond the operator's own thresholds by about its rate times the
     reaction lag, below the lower and above the upper. Where switching was barred at first, a
@@ -143,15 +149,15 @@ def estimate_thresholds(
             )
         if "tsc" in run:
             tsc = run["tsc"]
-        elif model is None:
+        elif model is not None:
+            run.require("p_r", "p_h")
+            tsc = model.value(run["p_r"], run["p_h"])
+        else:
             raise SessionError(
                 f"{run.label} has no column 'tsc'; give model=TscModel(...) to compute it from "
                 "p_r and p_h",
                 run.metadata.source,
             )
-        else:
-            run.require("p_r", "p_h")
-            tsc = model.value(run["p_r"], run["p_h"])
         for k in np.flatnonzero((np.diff(mode) != 0.0) & (run.t[1:] >= after)) + 1:
             rows.append((number, run.t[k], "lower" if mode[k] == 1.0 else "upper", tsc[k]))
     switches = pd.DataFrame(rows, columns=["run", "t", "threshold", "tsc"])
@@ -161,10 +167,26 @@ def estimate_thresholds(
             f"mode never changes{when} in these sessions, so no threshold can be estimated"
         )
     rng = np.random.default_rng(0)
-    sides = [_row(switches["tsc"][switches["threshold"] == side].to_numpy(), rng) for side in SIDES]
-    return ThresholdEstimate(
-        switches, pd.DataFrame(sides, pd.Index(SIDES, name="threshold"), SUMMARY)
-    )
+    groups = {side: switches["tsc"][switches["threshold"] == side].to_numpy() for side in SIDES}
+    sides = [_row(values, rng) for values in groups.values()]
+    summary = pd.DataFrame(sides, pd.Index(SIDES, name="threshold"), SUMMARY)
+    return ThresholdEstimate(switches, summary, *_apart(groups, rng))
+
+
+def _apart(groups: dict[str, np.ndarray], rng: np.random.Generator) -> tuple[float, float]:
+    """Return the separation of two groups of switches, and p that it is 1 or less."""
+    samples = []
+    drawn = []
+    for values in groups.values():
+        n = values.size
+        if n < 2 or not values.std() > 0.0:
+            return np.nan, np.nan
+        mean, sd = values.mean(), values.std(ddof=1)
+        spread = sd * np.sqrt((n - 1) / rng.chisquare(n - 1, RESAMPLES))
+        samples += [mean, sd]
+        drawn += [mean + spread * rng.standard_normal(RESAMPLES) / np.sqrt(n), spread]
+    ratio, ratios = ((high - low) / (a + b) for low, a, high, b in (samples, drawn))
+    return float(ratio), float((ratios <= 1.0).mean())
 
 
 def _row(values: np.ndarray, rng: np.random.Generator) -> list[float]:

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from trustlab.models.display import Result, axes_or_new
+from trustlab.models.display import Result, as_html, axes_or_new
 from trustlab.sessions.session import Metadata, Session
 
 ENERGIES = {
@@ -180,6 +180,9 @@ class TeamRun(Result):
             "trust": float(self.session["trust_hr"].mean()),
             "switches": float(len(self.switches)),
         }
+
+    def _repr_html_(self) -> str:
+        return as_html(self.message, pd.DataFrame([self.measures]), title=self.title)
 
     def plot(self, axes=None):
         """
