@@ -16,9 +16,9 @@ from trustlab.models.checks import did_you_mean, one_of
 from trustlab.models.published import data_folder
 from trustlab.trust.panel import Panel, panel_of
 
-SEVEN_POINTS = {"low": 1.0, "high": 7.0, "resolution": 1.0 / 6.0}
+SEVEN_POINTS: dict[str, Any] = {"low": 1.0, "high": 7.0, "resolution": 1.0 / 6.0}
 # Of a live study: trust by the checklist after every drive.
-STUDY_RECIPE = {
+STUDY_RECIPE: dict[str, Any] = {
     "columns": {"person": "participant", "trial": "position", "rating": "trust_mean", "p_r": "p_r"},
     "low": 1.0,
     "high": 7.0,
