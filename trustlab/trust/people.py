@@ -84,7 +84,7 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
     if not path.is_file():
         meant = did_you_mean(name, SETS)
         raise ValueError(f"no set or file {str(name)!r}{meant} (sets: {', '.join(SETS)})")
-    return panel_of(pd.read_csv(path), **{"source": str(path)} | settings)
+    return panel_of(pd.read_csv(path), **{"source": str(path), **settings})
 
 
 def _hybrid(path: Path) -> Panel:

@@ -227,6 +227,12 @@ def test_impossible_numbers_differ():
         "uav.satisfaction/mauchly.chi2": "20.1",  # ε = 0.693 leaves 22.9 and more
         # (2.3) moves P_r by (1 − a_pr)(P_r_max − P_r_min) at most, 0.0035 × 0.12
         "table_2.1/delta_P_r/3": "4.9e-4",
+        # Five scores of 0 and 100 with mean 42.44 have 55.26 at most, of 1 and 5 with mean 3.85
+        # 2.03, of 0 and 1 with mean 0.651 0.53; eight distances with mean 3.79 have 3.79 √8
+        "table_2.4/C1/tlx_sd": "55.31",
+        "table_2.4/C1/satisfaction_sd": "2.04",
+        "table_2.5/C1/r_sd": "0.54",
+        "table_3.1/M/error_sd": "10.75",
     }
     before = quick()
     for id, text in changes.items():

@@ -172,6 +172,21 @@ def left_over(orders: int) -> Callable[[Any], np.ndarray]:
     return lambda v: v.participants % orders
 
 
+def sd_limits(of: str, participants: str, low: float, high: float) -> Allows:
+    """Return that an SD is at most that of scores at the ends of the scale, with the mean."""
+    most = "all scores but one at the lowest"
+    if high < INFINITE:
+        most = f"all scores at the ends of the scale, {low:g} to {high:g}"
+
+    def ends(v: Any) -> tuple:
+        if high == INFINITE:
+            return 0, (v.M - low) * np.sqrt(v.n)
+        return 0, np.sqrt((v.M - low) * (high - v.M) * v.n / (v.n - 1))
+
+    ids = {"M": f"./{of.rpartition('/')[2]}_mean", "n": participants}
+    return Allows(f"{of}_sd", f"0 … {most}", ends, ids=ids)
+
+
 def mean_limits(p: str) -> Allows:
     """Return that the mean of a performance lies between the means of its least and greatest."""
     ends = {end: f"table_2.1/{p}_{end}/*" for end in ("min", "max")}
@@ -333,6 +348,17 @@ CASE_STUDY: tuple[Follows | Allows, ...] = (
     lies_above("utilization", "1", "23", "table_2.5/r"),
     mean_limits("P_r"),
     mean_limits("P_h"),
+    *(
+        sd_limits(f"table_{measure}", f"section_{people}/participants", low, high)
+        for measure, people, low, high in (
+            ("2.4/*/tlx", "2_4_1_1", 0, 100),
+            ("2.4/*/satisfaction", "2_4_1_1", 1, 5),
+            ("2.5/*/r", "2_4_1_1", 0, 1),
+            ("3.1/*/error", "3_8_2_1", 0, INFINITE),
+            ("3.1/*/preference", "3_8_2_1", 1, 5),
+            ("3.1/*/tlx", "3_8_2_1", 0, 100),
+        )
+    ),
     Follows("table_2.6/*/mean", "mean of the five", lambda v: v.x.mean(axis=0), ids=FIVE),
     Follows(
         "table_2.6/*/sd",
