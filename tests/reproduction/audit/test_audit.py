@@ -251,6 +251,7 @@ def test_participant_3_follows_from_other_thresholds(verdicts):
     id = "table_2.2/P_ru/3/column"
     assert id not in verdicts.index
     assert verdicts.loc["table_2.2/r_l/3", "verdict"] == "differs"
+    assert "both 0.10 higher than those printed" in verdicts.loc["table_2.2/r_l/3", "reason"]
     changes = {"table_2.2/TSC_l/3": "0.10", "table_2.2/TSC_u/3": "0.37"}
     assert audit(changes).set_index("id").loc[id, "verdict"] == "within rounding"
 
