@@ -234,6 +234,8 @@ def test_impossible_numbers_differ():
         "table_2.5/C1/r_sd": "0.54",
         "table_3.1/M/error_sd": "10.75",
     }
+    mean = {"table_2.4/C1/tlx_mean": "120.00"}  # beyond the scale: with no SD
+    assert quick(mean)["table_2.4/C1/tlx_sd"].verdict == "differs"
     before = quick()
     for id, text in changes.items():
         assert before[id].verdict == "not checkable"
@@ -296,6 +298,7 @@ def test_no_certain_slip_within_rounding():
     [
         ({"table_2.1/a_r/9": "1"}, "no printed number has the id"),
         ({"table_2.1/a_r/1": "inf"}, "must be a number as printed"),
+        ({"uav.tlx/sphericity": "violatd"}, "one of 'met', 'not met', 'violated'"),
     ],
 )
 def test_bad_changes_are_refused(changes, message):

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from trustlab.models.checks import one_of
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, PrintedNumber, conditions_of
 
 # Names of printed numbers that formulas write as letters.
@@ -245,7 +246,9 @@ class Follows(Formula, Relation):
         """
         number, place = numbers[self.of], place_of(self, numbers)
         target = self.target or number.compatible
-        least, most = target[number.printed] if isinstance(target, Mapping) else target
+        if isinstance(target, Mapping):
+            target = target[one_of(number.id, number.printed, target)]
+        least, most = target
         ways = [(way, way.range(place)) for way in (self, *self.conventions)]
         hit = [(way, span) for way, span in ways if least <= span[0] <= most]
         near = [(way, span) for way, span in ways if span[1] <= most and span[2] >= least]

@@ -187,7 +187,7 @@ def sd_limits(of: str, participants: str, low: float, high: float) -> Allows:
     def ends(v: Any) -> tuple:
         if high == INFINITE:
             return 0, (v.M - low) * np.sqrt(v.n)
-        return 0, np.sqrt((v.M - low) * (high - v.M) * v.n / (v.n - 1))
+        return 0, np.sqrt(np.maximum((v.M - low) * (high - v.M), 0.0) * v.n / (v.n - 1))
 
     ids = {"M": f"./{of.rpartition('/')[2]}_mean", "n": participants}
     return Allows(f"{of}_sd", f"0 … {most}", ends, ids=ids)
