@@ -89,3 +89,8 @@ def test_what_is_no_number_is_refused_by_field(changes, message):
     printed = {"n": 20, "mean": {"A": "5.0", "B": "4.25"}, "sd": {"A": "1.0"}}
     with pytest.raises(PublishedStudyError, match=message):
         tl.PublishedStudy("mine", **printed | {"conditions": ("A", "B", "C")} | changes)
+
+
+def test_conditions_may_come_from_an_iterator():
+    study = tl.PublishedStudy("s", conditions=iter("AB"), n=12, mean={"A": "3", "B": "4"}, sd={})
+    assert study.conditions == ("A", "B")
