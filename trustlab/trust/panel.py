@@ -100,7 +100,7 @@ def panel_of(
     """
     needed = ("person", "trial", "rating", "p_r")
     for signal in columns:
-        one_of("what a recipe's column is", signal, (*needed[:3], *SIGNALS))
+        one_of("a signal of columns", signal, (*needed[:3], *SIGNALS))
     wanted = {name: name for name in needed} | dict(columns)
     for column in wanted.values():
         if column not in table:
