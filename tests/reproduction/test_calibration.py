@@ -125,6 +125,11 @@ def test_effects_beyond_all_simulations_are_said_to_be_out_of_reach():
     assert row["low"] < TRUE["attention_cost"] < row["high"]
 
 
+def test_a_calibration_is_given_a_measure_at_least():
+    with pytest.raises(ValueError, match="name at least one measure, any of"):
+        made_up({}).given()
+
+
 def test_more_checks_than_the_posterior_has_draws_are_refused():
     with pytest.raises(ValueError, match=r"studies must be .*600"):
         made_up({}).checks(studies=5000)

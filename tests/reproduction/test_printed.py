@@ -1,4 +1,4 @@
-"""Printed text, tables and studies come back as printed; what rounds to them is told."""
+"""Printed text, tables and studies come back as printed; digits are counted as a reader would."""
 
 import math
 
@@ -48,6 +48,23 @@ def test_models_have_the_printed_parameters():
         assert models[name].human.b == pytest.approx(float(table.loc["b_r", name]), abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("ours", "printed", "digits"),
+    [
+        (0.39, "0.390", 3),
+        (0.3906, "0.390", 2),
+        (0.00127, "0.0013", 2),
+        (5.38e-5, "5.44e-5", 2),
+        (0.999, "1.0", 2),
+        (-0.24, "0.24", 0),
+        (float("nan"), "0.24", 0),
+        (123.4, "120", 2),
+    ],
+)
+def test_matching_digits(ours, printed, digits):
+    assert compare({"a": ours}, {"a": printed})["matching_digits"].item() == digits
+
+
 def test_numbers_beside_printed_ones():
     table = compare(
         {"a": 0.9961, "b": 0.30, "c": 0.2},
@@ -89,3 +106,8 @@ def test_what_is_no_number_is_refused_by_field(changes, message):
     printed = {"n": 20, "mean": {"A": "5.0", "B": "4.25"}, "sd": {"A": "1.0"}}
     with pytest.raises(PublishedStudyError, match=message):
         tl.PublishedStudy("mine", **printed | {"conditions": ("A", "B", "C")} | changes)
+
+
+def test_conditions_may_come_from_an_iterator():
+    study = tl.PublishedStudy("s", conditions=iter("AB"), n=12, mean={"A": "3", "B": "4"}, sd={})
+    assert study.conditions == ("A", "B")

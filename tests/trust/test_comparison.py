@@ -29,6 +29,12 @@ def test_pairs_are_paired(compared):
     interval = test.confidence_interval(0.95)
     assert row["difference"].item() / row["se"].item() == pytest.approx(test.statistic)
     assert row[["ci_low", "ci_high"]].to_numpy()[0] == pytest.approx([interval.low, interval.high])
+    back = compared.paired(against="asymmetric").query(
+        "split == 'people' and measure == 'free_error' and model == 'performance'"
+    )
+    assert back["difference"].item() == pytest.approx(-row["difference"].item())
+    with pytest.raises(ValueError, match="did you mean 'performance'"):
+        compared.paired(against="perfomance")
 
 
 def test_last_third_is_not_fitted_and_predicted_freely(compared):

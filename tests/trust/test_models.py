@@ -282,6 +282,30 @@ def test_ends_are_where_the_likelihood_has_fallen(name):
     assert (table["estimate"] < table["ci_high"]).all()
 
 
+def test_ends_take_few_evaluations(monkeypatch):
+    """A search that goes along the coordinates as they are takes 3,000."""
+    fit = tl.fit_trust(tl.read_people("hybrid_vr").of(range(30)), "asymmetric")
+    evaluations = []
+
+    def counted(*args):
+        evaluations.append(len(args[1]))
+        return log_likelihood(*args)
+
+    monkeypatch.setattr("trustlab.trust.fitting.log_likelihood", counted)
+    assert np.isfinite(fit.ends).sum() == 10
+    assert len(evaluations) < 900
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_baselines_have_intervals(name):
+    """Of no parameter, of one and of two."""
+    fit = tl.fit_trust(tl.read_people("hybrid_vr").of(range(30)), name)
+    table = fit.table()
+    assert list(table["parameter"]) == list(fit.model.parameters())
+    assert (table["ci_low"] <= table["estimate"]).all()
+    assert (table["estimate"] <= table["ci_high"]).all()
+
+
 def test_intervals_that_mean_nothing_are_withheld_with_a_reason():
     """No faults, so that no rating tells of them; free runs."""
     people = tl.read_people("hybrid_vr").of(range(30))

@@ -126,6 +126,8 @@ def test_a_recipe_may_be_a_file_scale_performance_and_lack_a_first_rating(tmp_pa
     assert panel.cautions == ("Mine.",)
     with pytest.raises(ValueError, match=r"recipe's key.*'colums'.*did you mean 'columns'"):
         tl.read_people(frame, {"colums": {}})
+    with pytest.raises(ValueError, match=r"'ratng'.*did you mean 'rating'"):
+        tl.read_people(frame.assign(rating=0.5), {"columns": {"ratng": "rating"}})
 
 
 def test_a_live_study_is_a_panel(tmp_path):

@@ -174,8 +174,10 @@ class Calibration(Result):
         Raises
         ------
         ValueError
-            If the simulated studies have no effect of a measure.
+            If no measure is named, or the simulated studies have no effect of one.
         """
+        if not measures:
+            raise ValueError(f"name at least one measure, any of {', '.join(self.measures)}")
         return replace(self, measures=measures)
 
     def reach(self) -> pd.DataFrame:

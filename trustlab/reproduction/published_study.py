@@ -197,9 +197,10 @@ def _printed(key: str, value: object) -> dict[str, str]:
 
 def _names(key: str, value: Iterable[str]) -> tuple[str, ...]:
     """Return a list of names as a tuple."""
-    if isinstance(value, str) or not all(isinstance(name, str) for name in value):
+    names = (value,) if isinstance(value, str) else tuple(value)
+    if isinstance(value, str) or not all(isinstance(name, str) for name in names):
         raise ValueError(f"{key} must be a list of names, got {shown(value)}")
-    return tuple(value)
+    return names
 
 
 def _scale(key: str, value: Any) -> tuple[float, float]:

@@ -70,9 +70,14 @@ class TrustComparison(Result):
             means[f"{name}_error"] = np.sqrt(means[f"{name}_error"])
         return means.rename(columns={"free_error": "free_rmse", "step_error": "step_rmse"})
 
-    def paired(self) -> pd.DataFrame:
+    def paired(self, against: str | None = None) -> pd.DataFrame:
         """
-        Return differences from the model `against`, paired by person, with 95 % intervals.
+        Return differences from a model, paired by person, with 95 % intervals.
+
+        Parameters
+        ----------
+        against : str, optional
+            The model that is subtracted; `against` of the comparison when not given.
 
         Returns
         -------
@@ -81,13 +86,14 @@ class TrustComparison(Result):
             ci_low, ci_high (Student's t over people), people.
         """
         names = list(dict.fromkeys(self.scores["model"]))
+        reference = one_of("against", against or self.against, names)
         rows = []
         for split, scores in self.scores.groupby("split", sort=False):
             for measure in MEASURES[:4]:
                 wide = scores.pivot_table(measure, "person", "model", dropna=False)
                 for name in names:
-                    apart = (wide[name] - wide[self.against]).dropna()
-                    if name != self.against and apart.size > 1:
+                    apart = (wide[name] - wide[reference]).dropna()
+                    if name != reference and apart.size > 1:
                         half = special.stdtrit(apart.size - 1, 0.975) * apart.sem()
                         ends = apart.mean() - half, apart.mean() + half
                         row = (apart.mean(), apart.sem(), *ends, apart.size)

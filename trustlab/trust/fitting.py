@@ -33,11 +33,13 @@ EDGE = 9.0
 FALL = 1.96
 # When a search ends: of a fit, whose digits count, and of the other coordinates at an end.
 FINE = {"ftol": 1e-15, "gtol": 1e-6}
-COARSE = {"ftol": 1e-7, "gtol": 1e-2}
+COARSE = {"ftol": 1e-7, "gtol": 2e-2}
+# Least curvature of the loss that a search takes for true.
+FLAT = 1.0
 # Farther from 0 the loss may be too flat for a search to begin.
 STEEP = 4.0
-# How near to an end of an interval, in its coordinate.
-NEAR = 2e-3
+# How near to that root an end of an interval is.
+NEAR = 0.01
 CRITERIA = ("step", "free")
 # Points drawn about the defaults, and how many of the best a search begins at.
 DRAWN = 40
@@ -257,31 +259,38 @@ def _starts(
     return np.array(starts)
 
 
-def optimum(loss: Loss, start: np.ndarray, held: int | None = None) -> tuple[np.ndarray, float]:
-    """Return the coordinates of least loss, and the loss; the one that is `held` stays."""
-    start = np.clip(start, -EDGE, EDGE)
-    bounds = np.tile([-EDGE, EDGE], (start.size, 1))
-    moves = np.delete(STEP * np.eye(start.size), [] if held is None else held, axis=0)
-    if held is not None:
-        bounds[held] = start[held]
+def optimum(loss: Loss, start: np.ndarray, axes: np.ndarray | None = None) -> tuple:
+    """
+    Return the coordinates of least loss, and the loss.
 
-    def loss_and_slope(x: np.ndarray):
-        here, *beside = loss(np.vstack([x, x + moves, x - moves]))
+    `axes` are the directions of a coarse search, in rows: those along which coordinates may move.
+    """
+    start = np.clip(start, -EDGE, EDGE)
+    moves = np.eye(start.size) if axes is None else axes
+    bounds = None if axes is not None else np.array([-EDGE - start, EDGE - start]).T
+
+    def place(z: np.ndarray) -> np.ndarray:
+        # Differences at a bound take a step beyond it.
+        return np.clip(start + z @ moves, -EDGE - STEP, EDGE + STEP)
+
+    def loss_and_slope(z: np.ndarray):
+        step = STEP * np.eye(len(moves))
+        here, *beside = loss(place(np.vstack([z, z + step, z - step])))
         ahead, behind = np.split(np.array(beside), 2)
-        return here, (ahead - behind) @ moves / (2.0 * STEP**2)
+        return here, (ahead - behind) / (2.0 * STEP)
 
     # Models without parameters to fit are at their best.
     if not len(moves):
         return start, float(loss(start[None])[0])
     found = minimize(
         loss_and_slope,
-        start,
+        np.zeros(len(moves)),
         jac=True,
         method="L-BFGS-B",
         bounds=bounds,
-        options=COARSE if held is not None else FINE,
+        options=FINE if axes is None else COARSE,
     )
-    return found.x, float(found.fun)
+    return place(found.x), float(found.fun)
 
 
 def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
@@ -292,29 +301,48 @@ def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
     centre: D. J. Venzon, S. H. Moolgavkar, Applied Statistics 37(1), 1988. An end is infinite where
     a parameter reaches its bound before.
     """
-    ends = [[_end(loss, centre, i, edge) for i in range(centre.size)] for edge in (-EDGE, EDGE)]
+    curvature = second_derivatives(loss, centre)
+    ends = [
+        [_end(loss, centre, curvature, i, edge) for i in range(centre.size)]
+        for edge in (-EDGE, EDGE)
+    ]
     return np.reshape(ends, (2, centre.size))
 
 
-def _end(loss: Loss, centre: np.ndarray, held: int, edge: float) -> float:
+def second_derivatives(loss: Loss, x: np.ndarray) -> np.ndarray:
+    """Return the second derivatives of the loss, by differences."""
+    step = STEP * np.eye(x.size)
+    both = (step[:, None] + step).reshape(-1, x.size), (step[:, None] - step).reshape(-1, x.size)
+    along, across = (loss(x + each) + loss(x - each) for each in both)
+    return (along - across).reshape(x.size, x.size) / (4.0 * STEP**2)
+
+
+def _end(loss: Loss, centre: np.ndarray, curvature: np.ndarray, held: int, edge: float) -> float:
     """Return where the log-likelihood has fallen enough between a coordinate and its bound."""
     best, least = centre.copy(), float(loss(centre[None])[0])
+    free = np.arange(centre.size) != held
+    # Along these axes the loss is about equally curved near the centre.
+    values, vectors = np.linalg.eigh(curvature[np.ix_(free, free)])
+    axes = np.zeros((values.size, centre.size))
+    axes[:, free] = (vectors / np.sqrt(np.maximum(values, FLAT))).T
 
     @cache
     def fall(place: float) -> float:
         """Return the root of twice the fall of the log-likelihood, less that at an end."""
-        # From the centre and from the last search: by itself each can end in a plain.
+        # From the centre or from the last search, whichever is better: each can lie in a plain.
         points = np.clip([centre, best], -STEEP, STEEP)
         points[:, held] = place
-        best[:], reached = min((optimum(loss, x, held) for x in points), key=lambda each: each[1])
-        return np.sqrt(2.0 * max(reached - least, 0.0)) - FALL
+        best[:], reached = optimum(loss, points[np.argmin(loss(points))], axes)
+        more = np.sqrt(2.0 * max(reached - least, 0.0)) - FALL
+        return 0.0 if abs(more) < NEAR else more
 
     inner, step = centre[held], np.copysign(0.25, edge)
-    while fall(outer := float(np.clip(inner + step, -EDGE, EDGE))) < 0.0:
+    while (more := fall(outer := float(np.clip(centre[held] + step, -EDGE, EDGE)))) < 0.0:
         if outer == edge:
             return np.copysign(np.inf, edge)
-        inner, step = outer, 2.0 * step
-    return brentq(fall, inner, outer, xtol=NEAR)
+        # A little beyond where the root would be if it grew in proportion to the distance.
+        inner, step = outer, step * np.clip(1.05 * FALL / (more + FALL + 1e-9), 1.1, 4.0)
+    return brentq(fall, inner, outer)
 
 
 def reliance_link(model: TrustDynamics, panel: Panel, until: int | None = None) -> Link:

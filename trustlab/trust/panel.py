@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import array_between, positive
+from trustlab.models.checks import array_between, one_of, positive
 from trustlab.trust.interface import Event
 
 # Columns of a panel in a table, beside person and trial.
@@ -98,7 +98,10 @@ def panel_of(
     Signals of `Event` that the table lacks have their usual values; without a resolution it is the
     least difference of two ratings.
     """
-    wanted = {name: name for name in ("person", "trial", "rating", "p_r")} | dict(columns)
+    needed = ("person", "trial", "rating", "p_r")
+    for signal in columns:
+        one_of("a signal of columns", signal, (*needed[:3], *SIGNALS))
+    wanted = {name: name for name in needed} | dict(columns)
     for column in wanted.values():
         if column not in table:
             raise ValueError(f"the table has no column {column!r} (there are {', '.join(table)})")

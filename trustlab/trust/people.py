@@ -72,7 +72,7 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
         return read(data_folder("people") / file)
     if isinstance(recipe, str | os.PathLike):
         recipe = tomllib.loads(Path(recipe).read_text(encoding="utf-8"))
-    settings: dict[str, Any] = dict(recipe or {})
+    settings = dict(recipe or {})
     for key in settings:
         one_of("a recipe's key", key, panel_of.__kwdefaults__)
     if isinstance(name, pd.DataFrame):
@@ -84,8 +84,7 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
     if not path.is_file():
         meant = did_you_mean(name, SETS)
         raise ValueError(f"no set or file {str(name)!r}{meant} (sets: {', '.join(SETS)})")
-    settings.setdefault("source", str(path))
-    return panel_of(pd.read_csv(path), **settings)
+    return panel_of(pd.read_csv(path), **{"source": str(path), **settings})
 
 
 def _hybrid(path: Path) -> Panel:

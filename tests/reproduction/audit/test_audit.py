@@ -227,7 +227,15 @@ def test_impossible_numbers_differ():
         "uav.satisfaction/mauchly.chi2": "20.1",  # ε = 0.693 leaves 22.9 and more
         # (2.3) moves P_r by (1 − a_pr)(P_r_max − P_r_min) at most, 0.0035 × 0.12
         "table_2.1/delta_P_r/3": "4.9e-4",
+        # Five scores of 0 and 100 with mean 42.44 have 55.26 at most, of 1 and 5 with mean 3.85
+        # 2.03, of 0 and 1 with mean 0.651 0.53; eight distances with mean 3.79 have 3.79 √8
+        "table_2.4/C1/tlx_sd": "55.31",
+        "table_2.4/C1/satisfaction_sd": "2.04",
+        "table_2.5/C1/r_sd": "0.54",
+        "table_3.1/M/error_sd": "10.75",
     }
+    mean = {"table_2.4/C1/tlx_mean": "120.00"}  # beyond the scale: with no SD
+    assert quick(mean)["table_2.4/C1/tlx_sd"].verdict == "differs"
     before = quick()
     for id, text in changes.items():
         assert before[id].verdict == "not checkable"
@@ -245,6 +253,7 @@ def test_participant_3_follows_from_other_thresholds(verdicts):
     id = "table_2.2/P_ru/3/column"
     assert id not in verdicts.index
     assert verdicts.loc["table_2.2/r_l/3", "verdict"] == "differs"
+    assert "both 0.10 higher than those printed" in verdicts.loc["table_2.2/r_l/3", "reason"]
     changes = {"table_2.2/TSC_l/3": "0.10", "table_2.2/TSC_u/3": "0.37"}
     assert audit(changes).set_index("id").loc[id, "verdict"] == "within rounding"
 
@@ -289,6 +298,7 @@ def test_no_certain_slip_within_rounding():
     [
         ({"table_2.1/a_r/9": "1"}, "no printed number has the id"),
         ({"table_2.1/a_r/1": "inf"}, "must be a number as printed"),
+        ({"uav.tlx/sphericity": "violatd"}, "one of 'met', 'not met', 'violated'"),
     ],
 )
 def test_bad_changes_are_refused(changes, message):

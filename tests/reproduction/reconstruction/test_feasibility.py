@@ -342,6 +342,18 @@ def test_what_was_corrected_is_recognised(anova, p, epsilon, reading):
     assert textbook.misses(printed, values, *factors) == set()
 
 
+def test_a_rounded_epsilon_is_recognised():
+    anova = {**CORRECTED, "p": P_CORRECTED}
+    printed = tl.PublishedStudy("s", **FOUR, anova=anova, epsilon="0.554")
+    answer = tl.feasibility(printed)
+    assert answer.feasible
+    assert answer.reading.endswith("ε rounded to 0.55")
+    assert textbook.misses(printed, data_of(printed), 0.55, 0.55) == set()
+    # Negative control: a third ε fits nothing.
+    third = {**FOUR, "anova": {**CORRECTED, "p": ".034"}, "epsilon": "0.614"}
+    assert not answer_of(third).feasible
+
+
 def test_a_contradiction_is_never_consistent():
     """F(3, 57) with n = 18: degrees of freedom of 20 people."""
     fields = {**FOUR, "anova": {"F": "4.10", "df1": "3", "df2": "57", "p": ".03"}}

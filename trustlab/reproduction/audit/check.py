@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from trustlab.models.checks import one_of
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, PrintedNumber, conditions_of
 
 # Names of printed numbers that formulas write as letters.
@@ -229,7 +230,8 @@ class Follows(Formula, Relation):
     `conventions` are other readings of the definition, tried in turn; `explanations` are mistakes
     that could have led to the printed number, named only if they give it. `target` has the ends
     that the result must lie between where they are not those of the printed number, or those of
-    each word that may be printed.
+    each word that may be printed. In the `note`, {0}, {1} … stand for the value of the formula and
+    those of its conventions.
     """
 
     _: KW_ONLY
@@ -244,12 +246,15 @@ class Follows(Formula, Relation):
         """
         number, place = numbers[self.of], place_of(self, numbers)
         target = self.target or number.compatible
-        least, most = target[number.printed] if isinstance(target, Mapping) else target
+        if isinstance(target, Mapping):
+            target = target[one_of(number.id, number.printed, target)]
+        least, most = target
         ways = [(way, way.range(place)) for way in (self, *self.conventions)]
         hit = [(way, span) for way, span in ways if least <= span[0] <= most]
         near = [(way, span) for way, span in ways if span[1] <= most and span[2] >= least]
         way, span = (hit or near or ways)[0]
         verdict = "not checkable" if self.binding else "differs"
+        note = self.note.format(*(span[0] for _, span in ways))
         reason, cause = f"{way.result(span[0], number)}.", ""
         if hit:
             verdict = "reproduced"
@@ -272,7 +277,7 @@ class Follows(Formula, Relation):
             reason = f"Suspicious: {reason}" if cause else reason
         return row_about(
             number,
-            " ".join(filter(None, (reason, cause, self.note))),
+            " ".join(filter(None, (reason, cause, note))),
             verdict,
             span,
             id=number.id + self.suffix,

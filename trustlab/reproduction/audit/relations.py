@@ -11,7 +11,7 @@ it several.
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from fnmatch import filter as matching
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -94,6 +94,12 @@ def bounds(v: Any, b_pr: float | None = None) -> dict[str, np.ndarray]:
     return dict(zip(BOUNDS, (p.p_r_low, p.p_r_high, r_low, r_high), strict=True))
 
 
+def higher_thresholds(v: Any) -> np.ndarray:
+    """Return r_l of (2.33) where both thresholds are 0.10 higher than printed."""
+    moved = {x: getattr(v, x) + 0.10 * x.startswith("TSC_") for x in RATE_INPUTS}
+    return bounds(SimpleNamespace(**moved))["r_l"]
+
+
 def chi2_of_epsilon(
     epsilon: np.ndarray, n: float | np.ndarray, k: int, greatest: bool
 ) -> np.ndarray:
@@ -170,6 +176,21 @@ def analysed(v: Any) -> np.ndarray:
 def left_over(orders: int) -> Callable[[Any], np.ndarray]:
     """Return how many participants are more than whole squares of so many orders need."""
     return lambda v: v.participants % orders
+
+
+def sd_limits(of: str, participants: str, low: float, high: float) -> Allows:
+    """Return that an SD is at most that of scores at the ends of the scale, with the mean."""
+    most = "all scores but one at the lowest"
+    if high < INFINITE:
+        most = f"all scores at the ends of the scale, {low:g} to {high:g}"
+
+    def ends(v: Any) -> tuple:
+        if high == INFINITE:
+            return 0, (v.M - low) * np.sqrt(v.n)
+        return 0, np.sqrt(np.maximum((v.M - low) * (high - v.M), 0.0) * v.n / (v.n - 1))
+
+    ids = {"M": f"./{of.rpartition('/')[2]}_mean", "n": participants}
+    return Allows(f"{of}_sd", f"0 … {most}", ends, ids=ids)
 
 
 def mean_limits(p: str) -> Allows:
@@ -273,7 +294,18 @@ MODELS: tuple[Follows | Allows, ...] = (
     ),
     Follows("table_2.2/P_rl/*", "P_rl of (2.15)", lambda v: performance(v).p_r_low),
     Follows("table_2.2/P_ru/*", "P_ru of (2.15)", lambda v: performance(v).p_r_high),
-    Follows("table_2.2/r_l/*", "r_l of (2.33)", lambda v: bounds(v)["r_l"]),
+    Follows(
+        "table_2.2/r_l/*",
+        "r_l of (2.33)",
+        lambda v: bounds(v)["r_l"],
+        explanations=(
+            Formula(
+                "r_l at TSC_l + 0.10 and TSC_u + 0.10",
+                higher_thresholds,
+                "thresholds were used that are both 0.10 higher than those printed",
+            ),
+        ),
+    ),
     Follows("table_2.2/r_u/*", "r_u of (2.33)", lambda v: bounds(v)["r_u"]),
 )
 
@@ -333,6 +365,17 @@ CASE_STUDY: tuple[Follows | Allows, ...] = (
     lies_above("utilization", "1", "23", "table_2.5/r"),
     mean_limits("P_r"),
     mean_limits("P_h"),
+    *(
+        sd_limits(f"table_{measure}", f"section_{people}/participants", low, high)
+        for measure, people, low, high in (
+            ("2.4/*/tlx", "2_4_1_1", 0, 100),
+            ("2.4/*/satisfaction", "2_4_1_1", 1, 5),
+            ("2.5/*/r", "2_4_1_1", 0, 1),
+            ("3.1/*/error", "3_8_2_1", 0, INFINITE),
+            ("3.1/*/preference", "3_8_2_1", 1, 5),
+            ("3.1/*/tlx", "3_8_2_1", 0, 100),
+        )
+    ),
     Follows("table_2.6/*/mean", "mean of the five", lambda v: v.x.mean(axis=0), ids=FIVE),
     Follows(
         "table_2.6/*/sd",
@@ -597,7 +640,7 @@ RELATIONS: tuple[Follows | Allows, ...] = (
 )
 
 RELATIVE = Formula(CHANGE, change, "relative change")
-PERCENT = "Printed with a % sign, which reads as a relative change."
+PERCENT = "Printed with a % sign, which reads as a relative change; that would be {1:.1f} %."
 # How a claim is read that compares two means, by its reading in statements.csv.
 READINGS = {
     "relative": Follows("", CHANGE, change, "relative change"),

@@ -2,17 +2,19 @@
 What a study prints as intervals, and the same statistics of any means and covariance.
 
 All statistics of a one-way within-subject study are functions of its means and covariance matrix.
-What a paper multiplies by the ε of Greenhouse and Geisser says a `Reading`.
+What a paper multiplies by the ε of Greenhouse and Geisser, which may have been rounded before, says
+a `Reading`.
 """
 
 from collections.abc import Iterator
+from decimal import Decimal
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
-from trustlab.reproduction.printed import printed_interval
+from trustlab.reproduction.printed import printed_decimal, printed_interval
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.studies.anova import orthonormal_contrasts, sphericity
 from trustlab.studies.pairs import bonferroni, holm
@@ -38,11 +40,16 @@ class Constraint(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """What was multiplied by ε: the printed degrees of freedom (`df`), those of the printed p."""
+    """
+    What was multiplied by ε: the printed degrees of freedom (`df`), those of the printed p (`p`).
+
+    `rounded` is the ε that both were multiplied by, where it is another than that of the data.
+    """
 
     words: str
     df: bool
     p: bool
+    rounded: float | None = None
 
 
 NEITHER = Reading("uncorrected p and degrees of freedom", False, False)
@@ -66,6 +73,14 @@ def readings(study: PublishedStudy) -> Iterator[Reading]:
     for reading in (ONLY_P, ONLY_DF, BOTH, NEITHER):
         if reading != usual and not (too_many and reading.df):
             yield reading
+    if not study.epsilon:
+        return
+    epsilon = printed_decimal(study.epsilon)
+    for unit in (Decimal("0.01"), Decimal("0.1")):
+        rounded = epsilon.quantize(unit)
+        if rounded != epsilon and rounded * (study.k - 1) >= 1:
+            words = f"p and degrees of freedom corrected by ε rounded to {rounded}"
+            yield Reading(words, True, True, float(rounded))
 
 
 def size_interval(text: str) -> tuple[float, float]:
@@ -122,7 +137,8 @@ def statistics(
     sphere = sphericity(errors, n - 1)
     f_ratio = n * k * mean.var(axis=1) / np.trace(errors, axis1=1, axis2=2)
     one, epsilon = np.ones(len(mean)), sphere["epsilon_gg"]
-    df, df_of_p = (d * (epsilon if corrected else one) for corrected in (reading.df, reading.p))
+    factor = one * (reading.rounded or epsilon)
+    df, df_of_p = (d * (factor if corrected else one) for corrected in (reading.df, reading.p))
     i, j = np.triu_indices(k, 1)
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     of_difference = variance[:, i] + variance[:, j] - 2.0 * covariance[:, i, j]

@@ -90,7 +90,9 @@ def _of_the_tests(study: PublishedStudy, reading: Reading) -> dict[str, str]:
         p = 2.0 * special.stdtr(n - 1, -known["t_test.t"])
         wrong |= _contradicted(printed["t_test.p"], p, "t gives")
     if "anova.p" in known and {"anova.F", "anova.eta2"} & known.keys():
-        factor = np.clip(epsilon, 1.0 / (k - 1), 1.0) if reading.p else np.ones(1)
+        factor = np.array([reading.rounded or 1.0])
+        if reading.p and not reading.rounded:
+            factor = np.clip(epsilon, 1.0 / (k - 1), 1.0)
         df = (k - 1) * factor[:, None]
         p = special.fdtrc(df, df * (n - 1), f_ratio)
         wrong |= _contradicted(printed["anova.p"], p, "F and its degrees of freedom give")
@@ -106,7 +108,7 @@ def _epsilon(
     """
     d = study.k - 1
     units = {"epsilon": 1.0}
-    if reading.df:
+    if reading.df and not reading.rounded:
         units |= {"anova.df2": d * (study.n - 1), "anova.df1": d}
     needed = {name: known[name] / unit for name, unit in units.items() if name in known}
     if not needed:
@@ -135,6 +137,8 @@ def _impossible(
     n, k = study.n, study.k
     d = k - 1
     factor = np.array([1.0 / d, 1.0]) if reading.df else np.ones(2)
+    if reading.rounded:
+        factor = np.full(2, reading.rounded)
     # The least and the greatest value of a statistic.
     limits: dict[str, Any] = {
         "anova.eta2": (0.0, 1.0),
