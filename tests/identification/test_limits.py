@@ -240,6 +240,19 @@ def test_trials_without_a_change_of_mode_are_named():
         tl.fit_tsc(trials)
 
 
+def test_people_who_share_parameters_and_runs_without_a_change_of_mode_are_remarked_on():
+    runs = [
+        session(np.full(9000, share), 0.001, r0=r0).with_metadata(participant=person)
+        for person, share, r0 in ((1, 1.0, 0.05), (2, 0.0, 0.95))
+    ]
+    message = tl.fit_human(runs).message
+    assert "2 participants share one set of parameters; fit them one by one" in message
+    assert "Mode never changes within any run." in message
+    message = tl.fit_human([session(seed=k) for k in range(2)]).message
+    assert "participants" not in message
+    assert "Mode" not in message
+
+
 def test_an_operator_who_does_not_follow_is_named_and_the_measured_one_drives_the_robot():
     robot, rng = PILOT.robot, np.random.default_rng(0)
     mode = np.repeat([1.0, 0.0] * 3, 1000)
