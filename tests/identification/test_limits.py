@@ -147,7 +147,7 @@ def test_a_robot_needs_no_weights_of_its_operator():
         ({"bounds": {"p_max": (0.5, 0.4)}}, "^bounds of p_max must be"),
         (
             {"bounds": {"p_min": (0.6, 0.9), "p_max": (0.1, 0.3)}},
-            "p_max = 0.3, not above p_min = 0.6",
+            "or bounds rule it out: the fit has p_max = 0.3, not above p_min = 0.6",
         ),
     ],
 )
@@ -172,7 +172,7 @@ def test_bounds_hold_and_are_reported():
         ({"fixed": {"betta": 0.7}}, "did you mean 'beta'"),
         (
             {"bounds": {"p_min": (0.6, 0.9), "p_max": (0.1, 0.3)}},
-            "p_max = 0.3, not above p_min = 0.6",
+            "or bounds rule it out: the fit has p_max = 0.3, not above p_min = 0.6",
         ),
         ({"bounds": {"beta": (1.5, 2.0)}}, "lie outside"),
         ({"fixed": {"a": 0.9}, "bounds": {"a": (0.8, 0.95)}}, "both fixed and bounded"),
