@@ -185,6 +185,8 @@ def _check_database(file: Path) -> None:
     if not head.startswith(b"SQLite format 3\0") or file.stat().st_size < stated:
         fault = f"{file.name} has {file.stat().st_size} bytes of {stated}"
         raise SessionError(f"{DAMAGED} ({fault}); record it again")
+    if {*"?#"} & {*str(file.absolute())}:  # sqlite3 would read the path as a URI with a query
+        raise SessionError("a .db3 file cannot be read where its path has ? or #; rename it")
 
 
 def _header_stamp(message, topic: str) -> int:
