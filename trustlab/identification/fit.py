@@ -147,14 +147,6 @@ def fit_runs(
     one_of("noise", noise, NOISES)
     if model.check is not None:
         model.check(runs, limits)
-    for output in model.outputs:
-        values = joined(runs, output)
-        if np.ptp(values) == 0.0:
-            raise IdentificationError(
-                f"{output} never moves (it is {values[0]:g} throughout), so the model cannot be "
-                "identified; record a session in which it is measured",
-                model.names,
-            )
     optima = rough_optima(model, runs, limits, robust)
     optimum = best_optimum(optima[0], robust)
     problem = optimum.problem
