@@ -147,7 +147,7 @@ def test_a_robot_needs_no_weights_of_its_operator():
         ({"bounds": {"p_max": (0.5, 0.4)}}, "^bounds of p_max must be"),
         (
             {"bounds": {"p_min": (0.6, 0.9), "p_max": (0.1, 0.3)}},
-            "p_max = 0.3, not above p_min = 0.6",
+            "or bounds rule it out: the fit has p_max = 0.3, not above p_min = 0.6",
         ),
     ],
 )
@@ -172,7 +172,7 @@ def test_bounds_hold_and_are_reported():
         ({"fixed": {"betta": 0.7}}, "did you mean 'beta'"),
         (
             {"bounds": {"p_min": (0.6, 0.9), "p_max": (0.1, 0.3)}},
-            "p_max = 0.3, not above p_min = 0.6",
+            "or bounds rule it out: the fit has p_max = 0.3, not above p_min = 0.6",
         ),
         ({"bounds": {"beta": (1.5, 2.0)}}, "lie outside"),
         ({"fixed": {"a": 0.9}, "bounds": {"a": (0.8, 0.95)}}, "both fixed and bounded"),
@@ -238,6 +238,19 @@ def test_trials_without_a_change_of_mode_are_named():
     trials = [session(np.full(100, share), seed=i) for i, share in enumerate((0.2, 0.4, 0.6, 0.8))]
     with pytest.raises(IdentificationError, match="mode never changes within any of the 4 runs"):
         tl.fit_tsc(trials)
+
+
+def test_people_who_share_parameters_and_runs_without_a_change_of_mode_are_remarked_on():
+    runs = [
+        session(np.full(9000, share), 0.001, r0=r0).with_metadata(participant=person)
+        for person, share, r0 in ((1, 1.0, 0.05), (2, 0.0, 0.95))
+    ]
+    message = tl.fit_human(runs).message
+    assert "2 participants share one set of parameters; fit them one by one" in message
+    assert "Mode never changes within any run." in message
+    message = tl.fit_human([session(seed=k) for k in range(2)]).message
+    assert "participants" not in message
+    assert "Mode" not in message
 
 
 def test_an_operator_who_does_not_follow_is_named_and_the_measured_one_drives_the_robot():

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, strategies as st
+from scipy import signal, stats
 
 import trustlab as tl
 from tests.identification.cases import (
@@ -213,6 +214,20 @@ def test_coarse_numbers_and_slow_noise_are_doubted():
         fit = tl.fit_human(doubtful)
         assert not fit.success
         assert says in fit.message
+
+
+def test_slow_noise_tells_its_size_by_fewer_values():
+    """Oracle: n values of an AR(1) process are worth n (1 − φ)/(1 + φ) independent ones."""
+    rng, slow = np.random.default_rng(3), 0.98
+    noisy = session(noise=0.0)
+    noise = signal.lfilter([0.0006], [1.0, -slow], rng.standard_normal(noisy.data.shape[0]))
+    fit = tl.fit_human(noisy.with_columns(p_h=noisy["p_h"] + noise))
+    worth = noise.size * (1.0 - slow) / (1.0 + slow)
+    assert fit.noise == "correlated"
+    assert fit.degrees_of_freedom == pytest.approx(worth, rel=0.25)
+    row = fit.table().loc["beta"]
+    half = stats.t.ppf(0.975, fit.degrees_of_freedom) * row["stderr"]
+    assert row["ci_high"] - row["value"] == pytest.approx(half)
 
 
 def test_stamps_that_are_not_exact_widen_the_intervals():

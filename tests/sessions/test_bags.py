@@ -167,6 +167,16 @@ def test_one_robot_of_two_on_tf(turtles):
     np.testing.assert_allclose(session.t, 0.2 * np.arange(10), atol=1e-9)
     notes = [text for name, text in session.metadata.more.items() if name.startswith("selected")]
     assert notes == ["10 of 20 messages have the entry"]
+    first = bag_recipe(TF.replace('[child_frame_id="turtle1"]', "[0]"))
+    with pytest.raises(SessionError, match=r"message 1 .*frame 'turtle2' here, and of 'turtle1'"):
+        read_session(turtles, first)
+
+
+def test_a_path_that_sqlite_would_misread_is_named_and_the_bag_not_called_damaged(turtles):
+    elsewhere = turtles.parent / "why?"
+    elsewhere.mkdir()
+    with pytest.raises(SessionError, match=r"cannot be read where its path has . or #; rename"):
+        read_session(turtles.rename(elsewhere / "turtles"), bag_recipe(TF))
 
 
 ERROR = '[columns]\npath_error = { topic = "/e", field = "data", unit = "m" }\n'

@@ -147,14 +147,6 @@ def fit_runs(
     one_of("noise", noise, NOISES)
     if model.check is not None:
         model.check(runs, limits)
-    for output in model.outputs:
-        values = joined(runs, output)
-        if np.ptp(values) == 0.0:
-            raise IdentificationError(
-                f"{output} never moves (it is {values[0]:g} throughout), so the model cannot be "
-                "identified; record a session in which it is measured",
-                model.names,
-            )
     optima = rough_optima(model, runs, limits, robust)
     optimum = best_optimum(optima[0], robust)
     problem = optimum.problem
@@ -224,6 +216,19 @@ class Estimate:
         """Standard errors of the full vector; NaN for what is fixed or held by a bound."""
         fixed = self.problem.low == self.problem.high
         return np.sqrt(np.where(fixed, np.nan, np.diag(self.covariance)))
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Samples less unknowns; for correlated noise, those of the slowest output."""
+        problem, loose = self.problem, self.optimum.loose.size
+        least = problem.counts.sum() - loose
+        for count, noise in zip(problem.counts, problem.noise, strict=True):
+            if noise.share > 0.0:
+                # An AR(1) process tells its size as n (1 − φ)/(1 + φ) independent values would; the
+                # fit uses up some.
+                values = count * (1.0 - noise.memory) / (1.0 + noise.memory)
+                least = min(least, max(values - loose, 3.0))
+        return float(least)
 
     @property
     def sigma(self) -> np.ndarray:
@@ -399,7 +404,7 @@ def result_of(estimate: Estimate) -> FitResult:
         cost=0.5 * float(problem.equations(optimum.x).squares.sum()),
         success=bool(optimum.converged and not marks and not reasons),
         message=" ".join(sentences),
-        degrees_of_freedom=float(problem.counts.sum() - optimum.loose.size),
+        degrees_of_freedom=estimate.degrees_of_freedom,
     )
 
 
@@ -505,6 +510,12 @@ def remarks(estimate: Estimate) -> Iterator[str]:
     ends = Counter(f"{problem.unknowns[j]} = {estimate.values[j]:g}" for j in held)
     for end, number in sorted(ends.items()):
         yield f"{end}, an end of its range, in {number} of {counted(len(problem.runs), 'run')}."
+    people = {run.participant for run in problem.runs}
+    if len(people) > 1:
+        yield (
+            f"{len(people)} participants share one set of parameters; fit them one by one "
+            "unless that is meant."
+        )
     windows = {run.window * run.undone * run.sample_time for run in problem.runs}
     if any(run.window * run.undone > 1 for run in problem.runs):
         where = "in the values that are averaged" if problem.unwindow else "in the means"
@@ -512,6 +523,8 @@ def remarks(estimate: Estimate) -> Iterator[str]:
         yield (
             f"The outputs are fitted as means over a moving window of {spans}, with noise {where}."
         )
+    if "mode" in problem.model.inputs and all(np.ptp(run["mode"]) == 0.0 for run in problem.runs):
+        yield "Mode never changes within any run."
     if "p_h" in problem.model.inputs:
         yield (
             "The measured p_h drives the model, and its noise counts as performance: where that is "

@@ -96,6 +96,7 @@ class Run:
     t: np.ndarray
     columns: Mapping[str, np.ndarray]
     synthetic: bool = False
+    participant: object = None
     window: int = 1
     undone: int = 1
     stamp_error: float = 0.0
@@ -164,6 +165,7 @@ def read_runs(
             session.t,
             {name: session[name].copy() for name in columns},
             session.metadata.synthetic,
+            session.metadata.participant,
             window or 1,
             stamp_error=_stamp_error(session, log.stamp_error),
         )

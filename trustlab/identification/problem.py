@@ -444,6 +444,14 @@ def rough_optima(
     Where outputs are means over a window, the likelihood decides if noise is in them or in the
     values that they are made of; these means hide where utilization began.
     """
+    for output in model.outputs:
+        values = joined(runs, output)
+        if np.ptp(values) == 0.0:
+            raise IdentificationError(
+                f"{output} never moves (it is {values[0]:g} throughout), so the model cannot be "
+                "identified; record a session in which it is measured",
+                model.names,
+            )
     views = []
     for unwindow, seen in _views(model, runs):
         problem = Problem(model, runs, limits, unwindow)

@@ -119,7 +119,7 @@ class FitResult(Result):
         pandas.DataFrame
             Index `parameter`; columns value, stderr, ci_low, ci_high, unit, status. NaN where a
             parameter was not estimated; intervals are not cut at bounds. A rate such as `a` belongs
-            to the time step in its unit: the log's sample time, unless `step` says otherwise.
+            to the time step in its unit, which is the log's sample time.
 
         Raises
         ------

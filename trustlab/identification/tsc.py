@@ -107,8 +107,8 @@ def _made(kind: type, contradiction: str, names: Mapping[str, str], values: Mapp
     low, high = names["p_min"], names["p_max"]
     if not values[high] > values[low]:
         raise IdentificationError(
-            f"{contradiction} in these data: the fit has {high} = {values[high]:.4g}, not above "
-            f"{low} = {values[low]:.4g}",
+            f"{contradiction} in these data, or bounds rule it out: the fit has {high} = "
+            f"{values[high]:.4g}, not above {low} = {values[low]:.4g}",
             (low, high),
         )
     return kind(**_part(names, values))
@@ -495,7 +495,8 @@ def fit_robot(
         Greatest human performance, to which p_max refers in (2.3). By default it is identified from
         the same sessions.
     fixed : mapping, optional
-        Values to hold, by name: a, p_min, p_max, p_r0.
+        Values to hold, by name: a, p_min, p_max, p_r0; of the operator human_a, human_beta,
+        human_p_min, r0.
     bounds : mapping, optional
         Bounds (low, high) by name; None leaves a side open.
     noise : {"auto", "white", "correlated", "hac"}

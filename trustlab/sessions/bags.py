@@ -41,6 +41,7 @@ def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> RawLog:
         raise SessionError("none of the columns to read comes from a topic; add one that does")
     samples: dict[tuple[str, str], list[tuple]] = {group: [] for group in groups}
     count: Counter[str] = Counter()
+    frames: dict[str, object] = {}
     with _open(path) as reader:
         _check_topics(reader, rules)
         for topic, row, stamp, message in _messages(reader, {topic for topic, _ in groups}):
@@ -49,7 +50,7 @@ def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> RawLog:
                 stamp = _header_stamp(message, topic)
             for (source, entry), members in groups.items():
                 if source == topic:
-                    values = [_value(message, row, rule) for rule in members]
+                    values = [_value(message, row, rule, frames) for rule in members]
                     if None not in values:
                         samples[topic, entry].append((row, stamp, *values))
     for (topic, entry), rows in samples.items():
@@ -184,6 +185,8 @@ def _check_database(file: Path) -> None:
     if not head.startswith(b"SQLite format 3\0") or file.stat().st_size < stated:
         fault = f"{file.name} has {file.stat().st_size} bytes of {stated}"
         raise SessionError(f"{DAMAGED} ({fault}); record it again")
+    if {*"?#"} & {*str(file.absolute())}:  # sqlite3 would read the path as a URI with a query
+        raise SessionError("a .db3 file cannot be read where its path has ? or #; rename it")
 
 
 def _header_stamp(message, topic: str) -> int:
@@ -195,18 +198,18 @@ def _header_stamp(message, topic: str) -> int:
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
-def _value(message, row: int, rule: ColumnRule) -> Any:
+def _value(message, row: int, rule: ColumnRule, frames: dict[str, object]) -> Any:
     """Return the number, or the text of a map, of a message; None without the selected entry."""
     try:
-        value = _walk(message, rule)
+        value = _walk(message, rule, frames)
         return _yaw(value) if rule.path.yaw and value is not None else value
     except SessionError as error:
         place = f"topic {rule.topic!r}, message {row} (from 0), {rule.label}"
         raise type(error)(f"{place} of {message.__msgtype__}: {error}") from None
 
 
-def _walk(message, rule: ColumnRule) -> Any:
-    """Follow a rule's field path into a message."""
+def _walk(message, rule: ColumnRule, frames: dict[str, object]) -> Any:
+    """Follow a rule's field path into a message; `frames` stay the same for each rule."""
     parent, value = None, message
     for step in rule.path.steps:
         if isinstance(step, str):
@@ -222,6 +225,12 @@ def _walk(message, rule: ColumnRule) -> Any:
             raise SessionError(fault)
         else:
             value = value[step]
+            frame = getattr(value, "child_frame_id", None)
+            if frames.setdefault(rule.name, frame) != frame:
+                raise SessionError(
+                    f"the entry [{step}] is of frame {frame!r} here, and of "
+                    f'{frames[rule.name]!r} before; select one: [child_frame_id="{frame}"]'
+                )
     text = isinstance(value, str)
     number = isinstance(value, bool | int | float | np.bool_ | np.number)
     if not (number or rule.path.yaw or (text and rule.map)):

@@ -260,6 +260,13 @@ def test_proposals_are_adapted_to_a_few_points_of_weight():
 # --- what it takes and says -----------------------------------------------------------------------
 
 
+def test_performance_that_never_moves_is_refused_at_once():
+    flat = simulated_logs.drawn_case(np.random.default_rng(1), "white")[0]
+    flat = flat.with_columns(p_h=np.full(flat.t.size, 0.42))
+    with pytest.raises(tl.IdentificationError, match=r"p_h never moves \(it is 0\.42 throughout"):
+        tl.sample_posterior(flat)
+
+
 def test_the_seed_decides():
     session, _ = simulated_logs.printed_case(np.random.default_rng(27), "white", minutes=3.0)
     first, again, changed = (tl.sample_posterior(session, n=200, seed=s) for s in (1, 1, 2))
