@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import one_of
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, PrintedNumber, conditions_of
 
 # Names of printed numbers that formulas write as letters.
@@ -247,7 +246,10 @@ class Follows(Formula, Relation):
         number, place = numbers[self.of], place_of(self, numbers)
         target = self.target or number.compatible
         if isinstance(target, Mapping):
-            target = target[one_of(number.id, number.printed, target)]
+            if number.printed not in target:
+                words = ", ".join(map(repr, target))
+                raise ValueError(f"{number.id} must be one of {words}, got {number.printed!r}")
+            target = target[number.printed]
         least, most = target
         ways = [(way, way.range(place)) for way in (self, *self.conventions)]
         hit = [(way, span) for way, span in ways if least <= span[0] <= most]
