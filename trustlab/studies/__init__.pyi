@@ -24,14 +24,16 @@ from .paired import (
     paired_t_test as paired_t_test,
 )
 from .pairs import holm as holm
-from .power import (
+from .population import (
     Conditions as Conditions,
+    StudyColumns as StudyColumns,
+    graded_covariance as graded_covariance,
+)
+from .power import (
     PowerAnalysis as PowerAnalysis,
     Simulation as Simulation,
     SmallestN as SmallestN,
-    StudyColumns as StudyColumns,
     clopper_pearson as clopper_pearson,
-    graded_covariance as graded_covariance,
     power_analysis as power_analysis,
     smallest_n as smallest_n,
 )

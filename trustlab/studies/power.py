@@ -1,10 +1,10 @@
 """
-Populations of conditions, the power of within-subject, factorial and mixed designs by studies drawn
-from them, and the smallest n that reaches a power.
+The power of within-subject, factorial and mixed designs by studies drawn from populations of
+conditions, and the smallest n that reaches a power.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any
 
@@ -13,23 +13,16 @@ import pandas as pd
 from numpy.random import SeedSequence
 from numpy.typing import ArrayLike
 from scipy import special
-from scipy.optimize import brentq
 
 from trustlab.models.checks import (
-    finite_array,
-    finite_number,
-    finite_numbers,
     of_class,
     one_of,
     open_unit,
-    positive,
     shown,
-    warn,
     whole_number,
 )
 from trustlab.models.display import axes_or_new
 from trustlab.studies.anova import (
-    Design,
     effect_name,
     effects,
     regress,
@@ -37,8 +30,14 @@ from trustlab.studies.anova import (
 )
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.pairs import bonferroni, differences, holm, level_pairs
-from trustlab.studies.repeated_measures import repeated_measures
-from trustlab.studies.table import Tested, labelled, labels_of, names_of
+from trustlab.studies.population import (
+    USUAL_COLUMNS,
+    Conditions,
+    StudyColumns,
+    factors_of,
+    population_of,
+)
+from trustlab.studies.table import Tested, labelled
 from trustlab.studies.words import apa_number
 
 # What power is computed against, and how a figure labels it.
@@ -97,289 +96,6 @@ USUAL_SIMULATION = Simulation()
 
 
 # --- populations ----------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class StudyColumns:
-    """
-    Columns of a pilot study's table, or levels of the index of its means.
-
-    Parameters
-    ----------
-    dv, subject : hashable
-        Columns of the measure and of the participants.
-    within : hashable or list of hashable
-        The factor or factors within subjects.
-    between : hashable or list of hashable, optional
-        Factors between subjects, which come first in the index of the means.
-    order : sequence or dict, optional
-        Order of the conditions; of several factors, a dict of factor to levels.
-    """
-
-    dv: Hashable = "value"
-    within: Hashable | list[Hashable] = "condition"
-    subject: Hashable = "subject"
-    between: Hashable | list[Hashable] | None = None
-    order: Any = None
-
-
-USUAL_COLUMNS = StudyColumns()
-
-
-def graded_covariance(
-    k: int, correlation: float = 0.5, epsilon: float = 1.0, sd: float = 1.0
-) -> np.ndarray:
-    """
-    Return a covariance of k conditions with a wanted mean correlation and ε.
-
-    The variances of the k − 1 orthonormal polynomial contrasts (linear first) form a geometric
-    sequence, falling so steeply that ε comes out; their mean is σ² (1 − ρ), and that of the sum
-    over conditions is σ² (1 + (k − 1) ρ). ε = 1 is compound symmetry. Mean variance and mean
-    covariance are σ² and ρ σ². With ε below 1 power depends on which contrasts vary most: this is
-    one choice.
-
-    Parameters
-    ----------
-    k : int
-        Conditions, at least 2.
-    correlation : float
-        ρ, between −1/(k − 1) and 1.
-    epsilon : float
-        ε, above 1/(k − 1) and at most 1; for k = 2 it is 1.
-    sd : float
-        σ, the root of the mean variance.
-
-    Returns
-    -------
-    numpy.ndarray, shape (k, k)
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range.
-    """
-    d = whole_number("k", k, least=2, most=1000) - 1
-    rho, eps = finite_number("correlation", correlation), finite_number("epsilon", epsilon)
-    sd = positive("sd", sd)
-    possible = 1.0 / d < eps <= 1.0 or eps == d == 1
-    if not (possible and -1.0 / d < rho < 1.0):
-        raise ValueError(
-            f"correlation = {rho:g}, epsilon = {eps:g}: {d + 1} conditions have a correlation "
-            f"between {-1.0 / d:.4g} and 1, and an ε above {1.0 / d:.4g} up to 1"
-        )
-
-    def shares(log_ratio: float) -> np.ndarray:
-        return special.softmax(log_ratio * np.arange(d))
-
-    def excess(log_ratio: float) -> float:
-        return 1.0 / (d * (shares(log_ratio) ** 2).sum()) - eps
-
-    ratio = brentq(excess, -60.0, 0.0, xtol=1e-14, rtol=1e-14) if eps < 1.0 - 1e-12 else 0.0
-    variances = d * sd**2 * (1.0 - rho) * shares(ratio)
-    # Powers of x span the same spaces, but are nearly dependent beyond a dozen conditions.
-    basis = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, d + 1), d))[0]
-    together = sd**2 * (1.0 + d * rho)
-    return basis @ np.diag(np.r_[together, variances]) @ basis.T
-
-
-@dataclass(frozen=True, eq=False)
-class Conditions:
-    """
-    Population from which studies are drawn: normal scores with these means and this covariance.
-
-    Parameters
-    ----------
-    labels : tuple
-        Conditions; of several factors the cells, the last factor varying fastest.
-    mean : numpy.ndarray, shape (k,) or (groups, k)
-        Their means, in each group.
-    covariance : numpy.ndarray, shape (k, k)
-        Positive definite.
-    origin : str
-        Where they come from, if not given as numbers ("reconstructed data" …).
-    within, between : mapping of str to sequence
-        Factors and their levels; "condition" with the labels when not given.
-
-    Raises
-    ------
-    ValueError
-        If sizes differ, labels repeat, or the covariance is not positive definite.
-    """
-
-    labels: Sequence[Hashable]
-    mean: np.ndarray
-    covariance: np.ndarray
-    origin: str = ""
-    within: Mapping[Any, Sequence] = field(default_factory=dict)
-    between: Mapping[Any, Sequence] = field(default_factory=dict)
-
-    def __post_init__(self):
-        labels = labels_of("labels", self.labels, 2)
-        mean = finite_numbers("mean", self.mean)
-        covariance = finite_numbers("covariance", self.covariance)
-        k = len(labels)
-        if mean.shape[-1:] != (k,) or covariance.shape != (k, k):
-            raise ValueError(
-                f"mean and covariance must be of the {k} conditions {[*labels]}, got shapes "
-                f"{mean.shape} and {covariance.shape}"
-            )
-        least, *_, greatest = np.linalg.eigvalsh(covariance)
-        asymmetry = np.abs(covariance - covariance.T).max()
-        if asymmetry > 1e-8 * greatest or least <= 1e-12 * greatest:
-            raise ValueError(
-                f"covariance must be symmetric and positive definite; its least eigenvalue is "
-                f"{least:.6g}, the greatest {greatest:.6g}"
-            )
-        within = self.within or {"condition": labels}
-        self.__dict__.update(labels=labels, mean=mean, covariance=covariance, within=within)
-
-    @property
-    def simulated_origin(self) -> str:
-        """Where results of studies drawn from this population come from, for captions."""
-        return "simulated studies" + (f", from {self.origin}" if self.origin else "")
-
-    @property
-    def correlation(self) -> float:
-        """Mean covariance between conditions over their mean variance."""
-        trace = np.trace(self.covariance)
-        return float((self.covariance.sum() / trace - 1.0) / (len(self.labels) - 1))
-
-    def design(self, n: int) -> tuple[np.ndarray, Design]:
-        """
-        Return the group of every participant and the design.
-
-        Parameters
-        ----------
-        n : int
-            Participants in each group.
-        """
-        groups = np.repeat(np.arange(len(np.atleast_2d(self.mean))), n)
-        codes = np.unravel_index(groups, [len(levels) for levels in self.between.values()] or [1])
-        numbers = dict(zip(self.between, codes, strict=False))
-        return groups, Design(len(groups), self.within, self.between, numbers)
-
-    def with_effect(self, eta2_partial: float) -> "Conditions":
-        """
-        Return the population with its means scaled about their mean, to a given partial η².
-
-        Parameters
-        ----------
-        eta2_partial : float
-            In [0, 1).
-
-        Raises
-        ------
-        ValueError
-            If it is out of range, or all means are the same, so that no factor separates them.
-        """
-        eta2 = finite_number("effect_size", eta2_partial)
-        centre = self.mean.mean()
-        shape = self.mean - centre
-        flat = np.abs(shape).max() <= 1e-12 * np.abs(self.mean).max()
-        if not 0.0 <= eta2 < 1.0 or (eta2 > 0.0 and flat):
-            raise ValueError(
-                f"effect_size is a population partial η², in [0, 1) and 0 where all means are the "
-                f"same, got {eta2}"
-            )
-        # η²/(1 − η²) = Σ (μ_j − μ)² / tr M, M the covariance of orthonormal contrasts.
-        error = np.trace(self.covariance) - self.covariance.sum() / len(self.labels)
-        scale = np.sqrt(eta2 / (1.0 - eta2) * error / ((shape**2).sum() or 1.0))
-        return replace(self, mean=centre + scale * shape)
-
-    def with_epsilon(self, epsilon: float) -> "Conditions":
-        """
-        Return the population with `graded_covariance` of the same mean variance and correlation.
-
-        Parameters
-        ----------
-        epsilon : float
-            As for `graded_covariance`.
-        """
-        k = len(self.labels)
-        sd = float(np.sqrt(np.trace(self.covariance) / k))
-        return replace(self, covariance=graded_covariance(k, self.correlation, epsilon, sd))
-
-
-def population_of(
-    mean: Any, covariance: Any, data: pd.DataFrame | None, columns: StudyColumns
-) -> Conditions:
-    """
-    Return the population that means and a covariance, or those of data, make.
-
-    Means are an array, or a mapping or Series that names the conditions, or of several factors is
-    indexed by their levels. Of data, the sample means and covariance are taken for the
-    population's; means given beside data replace those of the conditions that they name, and leave
-    the others out.
-    """
-    names, origin = factors_of(columns), ""
-    known = pd.Series(dtype=float)
-    if data is not None:
-        if covariance is not None or (len(names) > 1 and mean is not None):
-            raise ValueError(
-                "data= takes the place of covariance=, of several factors of mean= too"
-            )
-        roles = (columns.dv, columns.within, columns.subject)
-        pilot = repeated_measures(data, *roles, between=columns.between, order=columns.order)
-        levels = [*pilot.between.values(), *pilot.within.values()]
-        cells = pd.MultiIndex.from_product(levels) if len(names) > 1 else pilot.scores.columns
-        known = pd.Series(pilot.descriptives()["mean"].to_numpy(), cells)
-        mean = known if mean is None else mean
-        origin, covariance = pilot.origin, pilot.residual_covariance()
-        if origin:
-            warn(
-                f"the covariance is that of {origin}: how much people differ is assumed there, and "
-                "n goes with the square of it"
-            )
-    if mean is None or covariance is None:
-        raise ValueError("give mean= and covariance= of the conditions, or data= to take both from")
-    if not isinstance(mean, dict | pd.Series):
-        values = finite_array("mean", mean)
-        labels = covariance.index if isinstance(covariance, pd.DataFrame) else known.index
-        if len(labels) != len(values):
-            labels = pd.RangeIndex(1, len(values) + 1)
-        mean = pd.Series(values, labels)
-    mean = pd.Series(mean, dtype=float)
-    if len(names) > 1:
-        return _population_of_cells(mean, covariance, columns, origin)
-    labels = [*mean.index]
-    if data is not None:
-        if unknown := [name for name in labels if name not in known.index]:
-            raise ValueError(f"mean names {unknown}, but data hold {[*known.index]}")
-        places = known.index.get_indexer(labels)
-        covariance = covariance[np.ix_(places, places)]
-    elif isinstance(covariance, pd.DataFrame) and not (
-        labels == [*covariance.index] == [*covariance.columns]
-    ):
-        raise ValueError(
-            f"covariance must have the conditions {labels} in rows and columns, in this order"
-        )
-    return Conditions(labels, mean.to_numpy(), covariance, origin)
-
-
-def factors_of(columns: StudyColumns) -> list[Hashable]:
-    """Return the factors of a study, those between subjects first."""
-    of_class("columns", columns, StudyColumns)
-    return [*names_of(columns.between), *names_of(columns.within)]
-
-
-def _population_of_cells(
-    mean: pd.Series, covariance: Any, columns: StudyColumns, origin: str
-) -> Conditions:
-    """Return the population of means indexed by the levels of several factors."""
-    names = factors_of(columns)
-    if mean.index.nlevels != len(names):
-        raise ValueError(f"mean must be indexed by {', '.join(map(str, names))}")
-    levels = {name: tuple(mean.index.unique(i)) for i, name in enumerate(names)}
-    cells = mean.reindex(pd.MultiIndex.from_product(levels.values()))
-    for cell in cells.index[cells.isna()]:
-        raise ValueError(f"mean: no number for cell {cell!r} of {names}")
-    between = {name: levels.pop(name) for name in names_of(columns.between)}
-    labels = tuple(product(*levels.values()))
-    means = cells.to_numpy().reshape(-1, len(labels))
-    return Conditions(labels, means if between else means[0], covariance, origin, levels, between)
-
-
-# --- simulated studies ----------------------------------------------------------------------------
 
 
 def findings(
