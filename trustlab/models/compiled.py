@@ -40,8 +40,9 @@ def njit(function: Callable | None = None, **options: Any) -> Any:
 
 
 # For what only compiled functions call: without the wrapper for Python, which takes a fifth of the
-# time of compilation. Called from Python it ends the process; tests call `.py_func`.
-inner = functools.partial(njit, no_cpython_wrapper=True)
+# time of compilation, and made part of its caller, as a call copies all constants, a fifth of the
+# time of a drive. Called from Python it ends the process; tests call `.py_func`.
+inner = functools.partial(njit, no_cpython_wrapper=True, forceinline=True)
 
 
 @contextlib.contextmanager

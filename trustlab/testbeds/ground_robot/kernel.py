@@ -5,8 +5,7 @@ second.
 A sample begins at its pause: the robot has been located, the hand has moved and performance has
 been measured. `drive` then lets somebody decide who drives, logs the sample, moves the robot and
 comes to the next pause. The parts that hold no operator (`place`, `locate`, `perform`, `enter` and
-`roll`) are the steps of live drives as well: they get their bits from +, −, ×, ÷ and √ alone. Who
-decides when is in trustlab/testbeds/deciding.py.
+`roll`) are the steps of live drives as well. Who decides when is in trustlab/testbeds/deciding.py.
 
 No reference is counted in the loop nor in what it calls with arrays (_nrt=False): the counts are
 atomic and would take a third of its time. It allocates nothing, and its caller keeps what it is
