@@ -35,10 +35,12 @@ SEARCH = 2.0
 class CourseNumbers(NamedTuple):
     """
     A `Course` for compiled loops: points of the path, shape (N,), the last the first again, with
-    their arc lengths, and the posts. Points of the plane are complex numbers.
+    their arc lengths, the unit tangents from each to the next, and the posts. Points of the plane
+    are complex numbers.
     """
 
     points: np.ndarray
+    tangents: np.ndarray
     arcs: np.ndarray
     posts: np.ndarray
 
@@ -81,49 +83,43 @@ def nearest_point(place, near, course):
 
     Pieces are tried that begin or end within SEARCH of arc length `near`.
     """
-    points, arcs = course.points, course.arcs
+    points, tangents, arcs = course.points, course.tangents, course.arcs
     last = arcs.size - 1
     length = arcs[last]
     reach = min(SEARCH, 0.5 * length)
     start = near - reach - np.floor((near - reach) / length) * length
     i = piece_at(start, arcs)
     ahead = 2.0 * reach + start
-    best = np.inf
-    point, arc = points[i], start
+    best, nearest, past = np.inf, i, 0.0
     while arcs[i] <= ahead:
-        way, off = points[i + 1] - points[i], place - points[i]
-        piece = arcs[i + 1] - arcs[i]
-        along, whole = off.real * way.real + off.imag * way.imag, piece * piece
-        share = 0.0 if along <= 0.0 else 1.0
-        if 0.0 < along < whole:  # few pieces need the division
-            share = along / whole
-        foot = points[i] + share * way
-        off = place - foot
-        square = off.real**2 + off.imag**2
+        way, off = tangents[i], place - points[i]
+        along = min(max(off.real * way.real + off.imag * way.imag, 0.0), arcs[i + 1] - arcs[i])
+        square = (off.real - along * way.real) ** 2 + (off.imag - along * way.imag) ** 2
         if square < best:
-            best, point, arc = square, foot, arcs[i] + share * piece
+            best, nearest, past = square, i, along
         i += 1
         if i == last:
             i = 0
             ahead -= length
-    return point, arc, np.sqrt(best)
+    return points[nearest] + past * tangents[nearest], arcs[nearest] + past, np.sqrt(best)
 
 
 @njit(_nrt=False)
 def path_point(s, course):
     """Return the point of the path at arc length `s` and the unit tangent there."""
-    points, arcs = course.points, course.arcs
+    arcs = course.arcs
     length = arcs[arcs.size - 1]
     s = s - np.floor(s / length) * length
     i = piece_at(s, arcs)
-    tangent = (points[i + 1] - points[i]) / (arcs[i + 1] - arcs[i])
-    return points[i] + (s - arcs[i]) * tangent, tangent
+    return course.points[i] + (s - arcs[i]) * course.tangents[i], course.tangents[i]
 
 
 def course_numbers(path: Any, posts: Any) -> CourseNumbers:
     """Return a course for compiled loops from its `path` and `posts`."""
     path, posts = np.asarray(path, float), np.asarray(posts, float)
-    return CourseNumbers(path[:, :2] @ (1.0, 1j), path[:, 2].copy(), posts @ (1.0, 1j))
+    points = path[:, :2] @ (1.0, 1j)
+    pieces = np.diff(points)
+    return CourseNumbers(points, pieces / np.abs(pieces), path[:, 2].copy(), posts @ (1.0, 1j))
 
 
 def post_rows(path: CourseNumbers) -> np.ndarray:
@@ -186,8 +182,8 @@ class Course(Checked):
         path = CourseNumbers(*self._rounded(corners), posts=np.empty(0))
         self.__dict__["_numbers"] = path._replace(posts=post_rows(path))
 
-    def _rounded(self, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the points of the path, closed, and their arc lengths."""
+    def _rounded(self, corners: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return the points of the path, closed, the tangents of its pieces, and arc lengths."""
         places = corners @ (1.0, 1j)
         ahead = np.roll(places, -1) - places
         side = np.abs(ahead)
@@ -215,7 +211,8 @@ class Course(Checked):
         path = np.concatenate([*bends, bends[0][:1]])
         path = path[np.r_[True, np.abs(np.diff(path)) > 1e-9]]
         path[-1] = path[0]
-        return path, np.r_[0.0, np.cumsum(np.abs(np.diff(path)))]
+        pieces = np.diff(path)
+        return path, pieces / np.abs(pieces), np.r_[0.0, np.cumsum(np.abs(pieces))]
 
     @property
     def numbers(self) -> CourseNumbers:
@@ -228,7 +225,7 @@ class Course(Checked):
         The path as a closed polyline, shape (N, 3): x, y and arc length s [m]; the last row is the
         first point.
         """
-        points, arcs, _ = self._numbers
+        points, _, arcs, _ = self._numbers
         return np.column_stack([points.real, points.imag, arcs])
 
     @property

@@ -1,7 +1,7 @@
 """The ground robot: limits, laser scanner, odometry and autonomous controller."""
 
 from collections import namedtuple
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -145,7 +145,7 @@ class Pioneer(Checked):
     @property
     def numbers(self) -> Any:
         """The robot as plain numbers for compiled loops, by the names that they have here."""
-        return PioneerNumbers(*astuple(self))
+        return PioneerNumbers._make(getattr(self, name) for name in PioneerNumbers._fields)
 
 
 PioneerNumbers = namedtuple("PioneerNumbers", Pioneer.__match_args__)  # type: ignore[misc]
