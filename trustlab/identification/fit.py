@@ -414,9 +414,6 @@ def estimate_table(estimate: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
     values, count = estimate.values[: len(names)], len(names)
     status = np.where(estimate.optimum.at_bound, "at bound", "estimated")
     status = np.where(problem.low == problem.high, "fixed", status)[:count]
-    index = pd.Index(names, name="parameter")
-    table = pd.DataFrame({"value": values, "stderr": estimate.stderr[:count]}, index)
-    table["status"] = status
     step = problem.runs[0].sample_time
     derived = dict(model.derived)
     units = {"mode_delay": "s"}
@@ -428,14 +425,17 @@ def estimate_table(estimate: Estimate) -> tuple[pd.DataFrame, pd.DataFrame]:
             longer = f"{prefix}time_constant"
             derived[longer], units[longer] = partial(_time_constant, name, step), "s"
     covariance, free = estimate.covariance[:count, :count], status == "estimated"
+    rows = list(zip(names, values, estimate.stderr[:count], status, strict=True))
     for name, function in derived.items():
         value, slope = _with_slopes(function, names, values)
         # NaN where nothing that the row depends on was estimated.
         error = np.sqrt(slope @ np.nan_to_num(covariance) @ slope) if slope[free].any() else np.nan
-        table.loc[name] = [value, float(error), "derived"]
-    table["unit"] = [units.get(name, "") for name in table.index]
-    labels = index[free].rename(None)
-    return table, pd.DataFrame(covariance[np.ix_(free, free)], labels, labels)
+        rows.append((name, value, error, "derived"))
+    table = pd.DataFrame(rows, columns=["parameter", "value", "stderr", "status"])
+    table["unit"] = [units.get(name, "") for name in table["parameter"]]
+    labels = np.array(names)[free]
+    covariance = pd.DataFrame(covariance[np.ix_(free, free)], labels, labels)
+    return table.set_index("parameter"), covariance
 
 
 def _time_constant(name: str, step: float, /, **values: Any) -> Any:
@@ -456,8 +456,7 @@ def _with_slopes(function: Callable, names: tuple, values: np.ndarray) -> tuple:
 def _mark(table: pd.DataFrame, model: Model) -> Iterator[str]:
     """Mark names with a 95 % interval too wide to be of use, and say what would help."""
     useful = model.useful(table["value"].to_dict())
-    for name in model.names:
-        value, stderr, status = table.loc[name, ["value", "stderr", "status"]]
+    for name, value, stderr, status, _ in table.head(len(model.names)).itertuples():
         half = HALF_WIDTH * stderr
         if status == "at bound":
             yield (
