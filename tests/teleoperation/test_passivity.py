@@ -4,6 +4,7 @@ Passivity controllers, the energies of a session, and the share of a leader's pu
 Oracles: energy balances of the logged signals; sessions that were made passive and not.
 """
 
+import networkx as nx
 import numpy as np
 import pandas as pd
 import pytest
@@ -143,6 +144,15 @@ def test_what_grows_is_not_bounded():
     assert "grew 148-fold in the last third" in answer.message
     steady = np.sin(0.3 * np.arange(300))
     assert tl.passivity(session(np.column_stack([steady] * 4))).bounded
+    late = np.where(np.arange(300) < 250, 0.0, 1e9)  # nothing before the last third
+    assert not tl.passivity(session(np.column_stack([late] * 4))).bounded
+
+
+def test_a_team_has_a_criterion_of_its_own():
+    """Its leader hands energy on to other robots, which was called not passive."""
+    team = tl.simulate_team(nx.path_graph(2), duration=1.0)
+    with pytest.raises(ValueError, match=r"see TeamRun\.operator_passive"):
+        tl.passivity(team.session)
 
 
 # --- a leader's push ------------------------------------------------------------------------------

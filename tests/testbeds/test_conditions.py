@@ -11,6 +11,7 @@ from trustlab.allocation.rules import performance_suggestion
 from trustlab.models.simulation import Simulation
 from trustlab.models.tsc import threshold_mode
 from trustlab.testbeds import (
+    GroundRobot,
     OperatorPopulation,
     published_operator,
     run_condition,
@@ -269,3 +270,28 @@ def test_left_alone_the_autopilot_drifts_away():
     course = [near[k : k + 300].mean() for k in (950, 1300, 1700)]
     assert course == sorted(course, reverse=True)
     assert near[2600:].mean() == pytest.approx(who.robot_floor, abs=0.08)
+
+
+def test_who_makes_a_rule_is_given_the_model_only_where_an_argument_is_needed():
+    """A default was overwritten by the model."""
+
+    class Relay:
+        def __init__(self, low=0.26):
+            self.low = low
+
+        def step(self, tsc, p_r):
+            return int(p_r < self.low)
+
+    person = GroundRobot().people(1, {}, 0).iloc[0].to_dict()
+    bed = GroundRobot(rules={"relay": Relay, "of model": lambda tsc: Relay(tsc.robot.p_min)})
+    assert bed.rule_of("relay", person).low == 0.26
+    assert bed.rule_of("of model", person).low == person["p_r_min"] != 0.26
+
+
+def test_rest_is_that_of_who_drove_not_of_the_model_behind_suggestions():
+    bed = GroundRobot(laps=2, rest=10.0)
+    tsc = tl.published_models()
+    me = tl.Operator("me", replace(tsc["2"].human, a=0.99), delay=0.2)
+    run = tl.run_condition("C4", operator=me, model=tsc["2"], testbed=bed)
+    rested = bed.next_session({"participant": "me"}, run)
+    assert rested["r0"] == run.log["r"][-1] * 0.99**100

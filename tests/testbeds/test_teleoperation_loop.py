@@ -89,6 +89,7 @@ def test_a_run_is_repeated_from_its_decisions_without_functions_or_hands(guidanc
     same = {"seed": 4, "duration": 5.0, "guidance": guidance}
     again = tl.simulate_teleoperation("M", signals=loop.decisions, **same)
     assert again.data.equals(loop.session.data)
+    assert "alpha as given" in again.metadata.more["parts"]
     without = tl.simulate_teleoperation("M", **same)
     assert not without.data.equals(loop.session.data)  # negative control
 

@@ -88,7 +88,7 @@ class Delay:
             (
                 growth > self.max_rate + 1e-6,
                 f"from there it grows faster than max_rate = {self.max_rate:g}, for which f_i = "
-                "√(1 − max_rate) is set (3.13); set a max_rate that covers it, up to 1, or give "
+                "√(1 − max_rate) is set (3.13); give a Delay whose max_rate covers it, up to 1, or "
                 "a packet_delay, which read_out='ledger' keeps passive however it grows",
             ),
         ):

@@ -9,13 +9,13 @@ from trustlab.models.checks import of_class
 from trustlab.models.display import Result
 from trustlab.sessions.session import Session
 
-# Velocity and force at each port; power is positive where the port takes energy.
+# Velocity and force at each port; power is positive where it comes in from the hand or the robot.
 PORTS = {"operator": ("r_m", "f_m"), "robot": ("r_s", "f_s")}
 
 # What integrals may be off by rounding, as a share of all energy exchanged.
 ROUNDING = 1e-9
 
-# By how much signals of the last third may exceed those before and still count as bounded.
+# Up to which factor signals of the last third may exceed those before and count as bounded.
 GROWTH = 10.0
 
 
@@ -31,10 +31,10 @@ class Passivity(Result):
     passive : bool
         Whether neither port ever gave out more energy than it had taken, up to rounding.
     bounded : bool
-        Whether velocities and forces are finite, and in the last third of the run at most ten times
-        as large as before.
+        Whether `growth` is at most ten.
     growth : float
-        How many times as large they are.
+        The largest velocity or force of the last third of the run, in m/s or N, over the largest
+        before.
     """
 
     title = "Passivity of a run"
@@ -72,7 +72,7 @@ class Passivity(Result):
         Returns
         -------
         pandas.DataFrame
-            Columns port, least_energy [J], at [s] (when), final_energy [J].
+            Columns port, least_energy [J], at [s] (when the energy was least), final_energy [J].
         """
         ports = self.energies.rename_axis(columns="port")
         when, final = ports.idxmin().rename("at"), ports.iloc[-1].rename("final_energy")
@@ -81,7 +81,7 @@ class Passivity(Result):
 
 def passivity(session: Session) -> Passivity:
     """
-    Answer from a log whether teleoperation was stable: passive at its ports, and bounded.
+    Check from a log whether teleoperation was passive at both ports, and its signals bounded.
 
     Parameters
     ----------
@@ -98,7 +98,8 @@ def passivity(session: Session) -> Passivity:
     Raises
     ------
     ValueError
-        If `session` is no Session, or a column is missing.
+        If `session` is no Session, a column is missing, or it is a team's: its leader hands energy
+        on to other robots, and its operator has the budget of (4.30), `TeamRun.operator_passive`.
 
     Notes
     -----
@@ -116,6 +117,10 @@ def passivity(session: Session) -> Passivity:
     (True, True)
     """
     of_class("session", session, Session)
+    if session.metadata.source == "trustlab.testbeds.robot_team":
+        raise ValueError(
+            "in a team the leader hands energy on to other robots: see TeamRun.operator_passive"
+        )
     axes = [axis for axis in "xyz" if f"r_m_{axis}" in session] or ["x"]
     names = [f"{name}_{axis}" for pair in PORTS.values() for name in pair for axis in axes]
     session.require(*names)
@@ -127,7 +132,7 @@ def passivity(session: Session) -> Passivity:
     frame = pd.DataFrame(energies, index=session.data.index)
     sizes = np.abs(session.data[names].to_numpy()).max(axis=1)
     last = len(sizes) - len(sizes) // 3
-    before = sizes[:last].max()
-    growth = float(sizes[last:].max() / before) if before > 0.0 else 1.0
+    before, after = sizes[:last].max(), sizes[last:].max()
+    growth = float(after / before) if before > 0.0 else np.inf if after > 0.0 else 1.0
     passive = bool((frame.min() >= -ROUNDING * exchanged - 1e-12).all())
     return Passivity(frame, passive, bool(growth <= GROWTH), growth)

@@ -19,8 +19,8 @@ from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Metadata
 from trustlab.teleoperation.records import columns_of
 
-# Who allocates: a given sequence of modes, the operator, suggestions by (2.8), by Algorithm 2, at
-# random.
+# Who allocates: modes from outside (a sequence or a rule), the operator, suggestions by (2.8), by
+# Algorithm 2, at random.
 SCHEDULE = 0
 OWN = 1
 TSC = 2
@@ -36,7 +36,7 @@ CONDITIONS = {
     "C5": (PERFORMANCE, True),
 }
 
-# Conditions that tell better thresholds from having no need to decide, suggestions forced: "own",
+# Controls, suggestions forced, that tell better thresholds from being relieved of deciding: "own",
 # by the thresholds that the operator's switches in C1 show; "random", at random times.
 CONTROLS = {"own": (TSC, True), "random": (RANDOM, True)}
 
@@ -95,7 +95,7 @@ class Task(NamedTuple):
 
 
 def suggested_by_tsc(condition: str) -> bool:
-    """Return whether suggestions come from thresholds of TSC: in C2 and C3."""
+    """Return whether thresholds of TSC can be chosen for the suggestions: in C2 and C3."""
     return condition in ("C2", "C3")
 
 
@@ -146,7 +146,7 @@ def no_inputs(size: int) -> np.ndarray:
 
 
 def obeying(rule: Any) -> Callable:
-    """Return what decides as a rule does, from the time on at which somebody may switch."""
+    """Return the `decide` that asks a rule, from the time on at which somebody may switch."""
     samples = itertools.count()
 
     def decide(state: Any, inputs: np.ndarray) -> None:
@@ -161,7 +161,7 @@ def obeying(rule: Any) -> Callable:
 
 
 def check_rules(rules: Any, known: Mapping, made: str) -> None:
-    """Refuse conditions of a user's whose name is taken, or that nothing makes."""
+    """Refuse a user's conditions whose name is taken, or that cannot be called."""
     if not isinstance(rules, Mapping):
         raise ValueError(f"rules must map names to what makes {made}; got {shown(rules)}")
     for name, make in rules.items():
@@ -265,7 +265,7 @@ def measure(task, k, z_r, z_h, state):
 @inner
 def reaction(person, wanted, rng):
     """
-    Return the time between a decision and the hand's doing it [s]; its logarithm is normal, and
+    Return the time between a decision and its execution [s]; its logarithm is normal, and
     taking over adds to it.
     """
     late = person.reaction_lag * np.exp(person.reaction_spread * rng.standard_normal())

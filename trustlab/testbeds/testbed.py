@@ -93,7 +93,7 @@ class Testbed(Protocol):
 
     def run(self, condition: str, person: Person, seed: Seed) -> Any:
         """
-        Run one session, and return what has it as `.session`, and its outcome measures by name as
+        Run one session; return an object with the log as `.session` and outcome measures by name as
         `.measures`.
 
         Parameters
@@ -141,8 +141,8 @@ class ConditionTestbed(Checked, Testbed):
     population : OperatorPopulation, optional
         From whom operators are drawn.
     rules : mapping of str to callable, optional
-        Conditions of one's own by name: what makes the rule that gives the modes, called for each
-        run, as `make()` or, where it takes an argument, as `make(model)` with the operator's model.
+        Conditions of one's own by name: a function or class that makes a new rule for each run, as
+        `make()` or, where it needs an argument, as `make(model)` with the operator's model.
 
     Raises
     ------
@@ -207,7 +207,10 @@ class ConditionTestbed(Checked, Testbed):
         """
         make = self.rules[condition]
         try:
-            rule = make(person_of(person)[1]) if inspect.signature(make).parameters else make()
+            needed = [
+                p for p in inspect.signature(make).parameters.values() if p.default is p.empty
+            ]
+            rule = make(person_of(person)[1]) if needed else make()
             prepared_rule(rule, None)
         except Exception as error:
             raise ValueError(f"condition {condition!r}: {error}") from error
@@ -298,7 +301,7 @@ class ConditionTestbed(Checked, Testbed):
         if self.rest is None:
             return person
         last = float(run.log["r"][-1])
-        return {**person, "r0": last * run.model.human.a ** (self.rest / SAMPLE_TIME)}  # (2.5)
+        return {**person, "r0": last * run.operator.human.a ** (self.rest / SAMPLE_TIME)}  # (2.5)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -453,8 +456,8 @@ def run_condition(
     to follow and forced. C4, C5: suggestions by Algorithm 2, free and forced. Two controls are not
     printed: "own", forced suggestions by the thresholds that the operator's switches in C1 show,
     and "random", forced suggestions at random times. TSC (2.1) and the suggestions come from
-    performance as measured, (2.4) and (2.7) over 100 s, and the given model. The run begins in the
-    manual mode, rolling on the path; nobody switches before that window is full.
+    performance as measured, (2.4) and (2.7) over 100 s, and the given model. A condition begins in
+    the manual mode, rolling on the path; nobody switches before that window is full.
 
     Parameters
     ----------
@@ -485,10 +488,10 @@ def run_condition(
     testbed : {"ground_robot", "uav_following"}, GroundRobot or UavFollowing
         The testbed by name, or with settings: `GroundRobot(robot=…, course=…)`.
     rule : object, optional
-        Who drives, in place of a condition: an object with a method step(tsc=…, p_r=…), as for
-        `simulate_allocation`. A copy of it is called every 0.1 s, from the time on at which the
-        window is full, with TSC and P_r as measured, and what it returns is the mode at once,
-        without a reaction. The first mode is `rule.mode`, or 1 (manual) where it has none.
+        What decides who drives, in place of a condition: an object with a method step(tsc=…,
+        p_r=…), as for `simulate_allocation`. A copy of it is called every 0.1 s, from the time on
+        at which the window is full, with TSC and P_r as measured, and what it returns is the mode
+        at once, without a reaction. The first mode is `rule.mode`, or 1 (manual) where it has none.
 
     Returns
     -------
@@ -517,7 +520,7 @@ def run_condition(
     In C1 an operator whose threshold is passed within the first 100 s switches at their end, one
     reaction later, whatever TSC is by then: this first switch says nothing about the threshold. The
     metadata hold these 100 s as `settling`, and `estimate_thresholds` leaves such switches out with
-    after=110.0. All switches come a reaction late, see there.
+    after=110.0. Every switch lags its cause by one reaction, see there.
 
     Examples
     --------

@@ -278,7 +278,7 @@ class TeleoperationLoop(Loop):
         self.operator = of_class("operator", operator, Teleoperator)
         self.task = of_class("task", TASKS[study] if task is None else task, TrackingTask)
         hooks = self._functions(trust)
-        self._asked = ", ".join(hooks) or "built-in"
+        self._asked = ", ".join([*hooks, *(f"{name} as given" for name in signals or ())])
         ends, T = self.settings.scattering, self.settings.sample_time
         duration = between("duration", duration, 10.0 * T, min(1e5, 5e6 * T))
         self.count = count = round(duration / T)
@@ -448,7 +448,7 @@ class TeleoperationLoop(Loop):
             "guard": guidance.guard,
             "guidance": guidance.where,
             "budget": str(guidance.budget) if guidance.budget else "none",
-            "parts": self._asked,
+            "parts": self._asked or "built-in",
             "note": NOTE,
         }
         return keep_table(

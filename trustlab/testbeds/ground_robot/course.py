@@ -179,7 +179,8 @@ class Course(Checked):
         if around > LONGEST:
             raise ValueError(f"a lap may be {LONGEST:g} m long, got corners {around:.4g} m around")
         self.__dict__["corners"] = tuple(map(tuple, corners.tolist()))
-        path = CourseNumbers(*self._rounded(corners), posts=np.empty(0))
+        points, tangents, arcs = self._rounded(corners)
+        path = CourseNumbers(points, tangents, arcs, posts=np.empty(0))
         self.__dict__["_numbers"] = path._replace(posts=post_rows(path))
 
     def _rounded(self, corners: np.ndarray) -> tuple[np.ndarray, ...]:
