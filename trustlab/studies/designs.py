@@ -30,17 +30,11 @@ def williams_square(n: int) -> np.ndarray:
     numpy.ndarray of int, shape (n, n) for even n, (2 n, n) for odd n
         Condition numbers from 0, a row per order.
 
-    Raises
-    ------
-    ValueError
-        If `n` is not a whole number of at least 2.
-
     References
     ----------
     E. J. Williams, Experimental designs balanced for the estimation of residual effects of
     treatments, Australian Journal of Scientific Research A 2 (1949) 149-168.
     """
-    n = whole_number("n", n, least=2)
     steps = np.arange(n)
     zigzag = np.where(steps % 2 == 1, (steps + 1) // 2, -(steps // 2)) % n
     square = (zigzag + steps[:, None]) % n
@@ -107,7 +101,7 @@ class DesignBalance(Result):
     def table(self) -> pd.DataFrame:
         """Return all counts: of every condition by position, and by the condition that follows."""
         counts = {"position": self.positions, "followed by": self.carry_over}
-        return pd.concat(counts, axis=1)
+        return pd.concat(counts, axis=1).rename_axis(index="condition")
 
 
 def design_balance(
@@ -231,7 +225,7 @@ def latin_square_design(
         Seed of the draws; report it with the design.
     whole_squares : bool
         Whether to refuse a number of participants that leaves a square incomplete; False only
-        warns, and the design is then not balanced.
+        warns. The design is then not balanced, but in positions where half a square is filled.
 
     Returns
     -------
@@ -263,6 +257,7 @@ def latin_square_design(
     seed = whole_number("seed", seed, least=0)
     k, n = len(conditions), len(participants)
     size = participants_needed(k)
+    half = n % size == k < size
     if n % size:
         below, above = n // size * size, participants_needed(k, n)
         text = (
@@ -272,9 +267,15 @@ def latin_square_design(
         if whole_squares:
             raise ValueError(
                 f"{text}; latin_square_design(..., whole_squares=False) takes {n} all the same, in "
-                "a design that is not balanced, which virtual_study takes as its first argument"
+                "a design that is not balanced"
             )
-        warn(f"{text}; this design is not balanced")
+        warn(
+            f"{n} participants fill half of the last square: each of the {k} conditions stands "
+            "equally often at every position, but does not follow every other one equally often; "
+            f"{above} participants would balance both"
+            if half
+            else f"{text}; this design is not balanced"
+        )
     labels, *batches = spawned(seed, 1 - (-n // size))
     drawn = np.random.default_rng(labels).permutation(k)[williams_square(k)]
     square = pd.DataFrame(drawn, range(1, size + 1), range(1, k + 1)).astype(object)
@@ -282,4 +283,8 @@ def latin_square_design(
     rows = [
         int(row) + 1 for batch in batches for row in np.random.default_rng(batch).permutation(size)
     ]
+    if half:
+        # The first k orders of a square for odd k are a Latin square by themselves: every
+        # condition once at every position.
+        rows[n - k :] = [row for row in rows[n - k :] if row <= k]
     return LatinSquareDesign(conditions, participants, seed, square, tuple(rows[:n]))
