@@ -15,7 +15,7 @@ import pytest
 
 import trustlab as tl
 from tests.studies.scores import drawn
-from trustlab.studies.report import printed
+from trustlab.studies.words import printed
 
 mpl.use("Agg")
 
@@ -96,6 +96,9 @@ RESULTS = {
     "a table": lambda: tl.equivalence(ONE, **PART, bound=0.5),
     "a table with an index": lambda: tl.repeated_measures_batch(NOISE ** [1, 2, 3]),
     "a plan": lambda: tl.latin_square_design(["A", "B", "C"], 6),
+    "counts under two heads": lambda: tl.design_balance(
+        tl.latin_square_design(["A", "B", "C"], 6).orders()
+    ),
     "a mixed model": lambda: tl.mixed_model(frame_of(), **PART | {"within": ["scheme", "task"]}),
     "scores": lambda: tl.score(ANSWERS, tl.NASA_TLX),
     "a printed study": lambda: tl.published_studies()["uav.tlx"],
@@ -174,14 +177,6 @@ def test_results_of_one_kind_are_one_table():
     found = tl.report(both)
     assert found.table()["t"].tolist() == [both[name].t for name in TASKS]
     assert found.message.startswith(f"easy: {both['easy'].apa()}")
-
-
-def test_what_no_document_can_show_is_refused(tmp_path):
-    frame = frame_of().replace({"scheme": {"M": "M\x07"}})
-    for ending in ("html", "tex"):
-        with pytest.raises(ValueError, match="holds a control character"):
-            two_way(frame).write(tmp_path / f"r.{ending}")
-    assert not list(tmp_path.iterdir())
 
 
 def test_heads_name_the_level_of_intervals(tmp_path):
