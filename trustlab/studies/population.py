@@ -241,8 +241,9 @@ def population_of(
     and leave the others out.
     """
     factors, origin = factors_of(columns), ""
+    several = len(factors) > 1
     if data is not None:
-        if covariance is not None or (len(factors) > 1 and mean is not None):
+        if covariance is not None or (several and mean is not None):
             raise ValueError(
                 "data= takes the place of covariance=, of several factors of mean= too"
             )
@@ -258,18 +259,22 @@ def population_of(
     means = pd.Series(mean, dtype=float)
     if means.index.nlevels != len(factors):
         raise ValueError(f"mean must be indexed by {', '.join(map(str, factors))}")
-    if len(factors) > 1:
-        return _crossed(means, covariance, origin, columns)
-    labels = [*means.index]
-    if data is not None:
-        if unknown := [name for name in labels if name not in known]:
-            raise ValueError(f"mean names {unknown}, but data hold {known}")
-        covariance = covariance.loc[labels, labels]
-    elif known and not labels == known == [*covariance.columns]:
-        raise ValueError(
-            f"covariance must have the conditions {labels} in rows and columns, in this order"
-        )
-    return Conditions(labels, means.to_numpy(), covariance, origin)
+    if not several:
+        labels = [*means.index]
+        if known:
+            if unknown := [name for name in labels if name not in known]:
+                raise ValueError(f"mean names {unknown}, but the covariance is that of {known}")
+            covariance = covariance.reindex(index=labels, columns=labels)
+        return Conditions(labels, means.to_numpy(), covariance, origin)
+    levels = {name: tuple(means.index.unique(i)) for i, name in enumerate(factors)}
+    means = means.reindex(pd.MultiIndex.from_product(levels.values()))
+    for cell in means.index[means.isna()]:
+        raise ValueError(f"mean: no number for cell {cell!r} of {factors}")
+    between = {name: levels.pop(name) for name in names_of(columns.between)}
+    labels = [*product(*levels.values())]
+    groups = means.to_numpy().reshape(-1, len(labels))
+    mean = groups if between else groups[0]
+    return Conditions(labels, mean, covariance, origin, levels, between)
 
 
 def _pilot(data: pd.DataFrame, columns: StudyColumns) -> tuple[pd.Series, pd.DataFrame, str]:
@@ -285,20 +290,6 @@ def _pilot(data: pd.DataFrame, columns: StudyColumns) -> tuple[pd.Series, pd.Dat
     names = "condition" if pilot.one_way else factors_of(columns)
     means = pilot.descriptives().set_index(names)["mean"]
     return means, pd.DataFrame(pilot.residual_covariance(), cells, cells), pilot.origin
-
-
-def _crossed(means: pd.Series, covariance: Any, origin: str, columns: StudyColumns) -> Conditions:
-    """Return the population of means indexed by the levels of several factors."""
-    factors = factors_of(columns)
-    levels = {name: tuple(means.index.unique(i)) for i, name in enumerate(factors)}
-    means = means.reindex(pd.MultiIndex.from_product(levels.values()))
-    for cell in means.index[means.isna()]:
-        raise ValueError(f"mean: no number for cell {cell!r} of {factors}")
-    between = {name: levels.pop(name) for name in names_of(columns.between)}
-    labels = [*product(*levels.values())]
-    groups = means.to_numpy().reshape(-1, len(labels))
-    mean = groups if between else groups[0]
-    return Conditions(labels, mean, covariance, origin, levels, between)
 
 
 def factors_of(columns: StudyColumns) -> list[Hashable]:
