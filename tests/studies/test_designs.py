@@ -67,11 +67,6 @@ def test_same_seed_same_design_and_more_participants_change_no_order(k, seed):
     pd.testing.assert_frame_equal(small.table(), large.table().iloc[: SIZES[k]])
 
 
-def test_whole_squares_is_a_flag():
-    with pytest.raises(ValueError, match="whole_squares must be True or False, got 'no'"):
-        latin_square_design(list("ABCD"), 4, whole_squares="no")
-
-
 def test_an_order_without_a_label_is_refused():
     orders = latin_square_design(list("ABCD"), 4, seed=3).orders()
     with pytest.raises(ValueError, match="column 'condition' has no label in row 2"):

@@ -74,10 +74,6 @@ def test_levels_that_are_numbers_stay_as_they_are(tmp_path):
     frame = frame_of().replace({"M": 0.0, "TMIG": 0.125}).infer_objects()
     tables, _ = read_again(two_way(frame), tmp_path)
     assert tables[0]["scheme"].tolist() == [0.0, 0.0, 0.125, 0.125]
-    part = frame[frame["task"] == "easy"]
-    limits = tl.winsorize(part, "score", "scheme", "person", outside="sd", k=2.0, to="limit").limits
-    tables, _ = read_again(tl.report(limits), tmp_path)
-    assert tables[0]["condition"].tolist() == [0.0, 0.125]
 
 
 def test_the_comparison_of_two_groups_is_a_row(tmp_path):
@@ -164,9 +160,6 @@ def test_fits_by_participant_are_one_table(fit, pilot, tmp_path):
     text = study.write(tmp_path / "fits.tex").read_text()
     assert r"$\pm$" in text
     assert r"human $\tau$ [s] & human $\beta$ & human p min" in text
-    page = study.write(tmp_path / "fits.html").read_text()
-    assert "<th>human β</th>" in page
-    assert "synthetic data" in tl.report(fit)._repr_html_()
     page = tl.report(fit).write(tmp_path / "fit.html").read_text()
     assert page.count("synthetic data") == 1
     assert "human_" not in page

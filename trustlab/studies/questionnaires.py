@@ -298,7 +298,7 @@ def score(
             "dataclasses.replace(questionnaire, low=…, high=…, step=…)"
         )
     coded = _coded(questionnaire, table)
-    scores = {score_name: part.mean(axis=1) for score_name, part in coded.items()}
+    scores = {score_name: items.mean(axis=1) for score_name, items in coded.items()}
     name, whole = questionnaire.name, next(iter(coded.values()))
     if not questionnaire.task_load:
         scores[f"{name}_sum"] = whole.sum(axis=1)

@@ -389,13 +389,6 @@ def _finish(folder: Path, study: VirtualStudy) -> None:
     (folder / "about.txt").write_text(about, encoding="utf-8")
 
 
-def session_file(participant: int, position: int, condition: str) -> str:
-    """
-    Return the name of the file that holds one session; participants and positions count from 1.
-    """
-    return f"participant_{participant:05d}_trial_{position}_{condition}.parquet"
-
-
 def run_participant(
     testbed: Testbed,
     participant: int,
@@ -420,7 +413,8 @@ def run_participant(
         run = testbed.run(condition, person, streams[condition])
         if folder is not None:
             session = run.session.with_metadata(trial=position, testbed=testbed.name)
-            write_session(session, Path(folder) / session_file(participant, position, condition))
+            file = f"participant_{participant:05d}_trial_{position}_{condition}.parquet"
+            write_session(session, Path(folder) / file)
         measures |= {f"{condition}/{name}": float(x) for name, x in run.measures.items()}
         person = testbed.next_session(person, run)
     return measures
