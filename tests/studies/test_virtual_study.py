@@ -179,7 +179,6 @@ def test_half_a_square_is_said_to_be_unbalanced():
         half = tl.virtual_study(n=5, seed=1, **FOLLOWING)
     balance = tl.design_balance(half.design.orders())
     assert balance.message == "positions balanced, first-order carry-over not balanced"
-    assert half.design.participants == (1, 2, 3, 4, 5)
     with pytest.warns(UserWarning, match="participants: 7 do not fill whole squares.*10 would do"):
         tl.virtual_study(n=7, **FOLLOWING)
 

@@ -165,40 +165,32 @@ class LatinSquareDesign(Result):
 
     Parameters
     ----------
-    conditions : tuple of str
-        The conditions, as given.
-    participants : tuple
-        Their numbers or names, in the order in which they come to the lab.
+    plan : pandas.DataFrame
+        The condition of every participant (in the order in which they come to the lab), a column
+        per position.
     seed : int
         The seed of the labels and of the order of rows.
-    square : pandas.DataFrame
-        The square with its labels drawn: a row per order (numbered from 1), a column per position.
-    rows : tuple of int
-        The row of the square that each participant follows.
     """
 
     title = "Latin square"
 
-    conditions: tuple[Hashable, ...]
-    participants: tuple[Hashable, ...]
+    plan: pd.DataFrame
     seed: int
-    square: pd.DataFrame
-    rows: tuple[int, ...]
 
     @property
     def message(self) -> str:
-        """How many orders, and the seed of their draw."""
-        return f"{len(self.square)} orders in a square, seed {self.seed}"
+        """Who is in it, and the seed of its draw."""
+        people, conditions = self.plan.shape
+        return f"{people} participants, {conditions} conditions, seed {self.seed}"
 
     def table(self) -> pd.DataFrame:
         """Return the plan for the lab: a row per participant, a column per position."""
-        plan = self.square.loc[list(self.rows)]
-        return plan.set_axis(pd.Index(self.participants, name="participant"), axis=0)
+        return self.plan.copy()
 
     def orders(self) -> pd.DataFrame:
         """Return the plan as a tidy table: participant, position, condition."""
-        plan = self.table().stack()  # noqa: PD013  melt would sort the rows by position
-        return plan.rename("condition").reset_index().infer_objects()
+        rows = self.plan.stack()  # noqa: PD013  melt would sort the rows by position
+        return rows.rename("condition").reset_index().infer_objects()
 
 
 def latin_square_design(
@@ -278,13 +270,12 @@ def latin_square_design(
         )
     labels, *batches = spawned(seed, 1 - (-n // size))
     drawn = np.random.default_rng(labels).permutation(k)[williams_square(k)]
-    square = pd.DataFrame(drawn, range(1, size + 1), range(1, k + 1)).astype(object)
-    square = square.map(conditions.__getitem__).rename_axis(index="order", columns="position")
-    rows = [
-        int(row) + 1 for batch in batches for row in np.random.default_rng(batch).permutation(size)
-    ]
+    square = np.array(conditions, dtype=object)[drawn]
+    order = np.concatenate([np.random.default_rng(batch).permutation(size) for batch in batches])
     if half:
         # The first k orders of a square for odd k are a Latin square by themselves: every
         # condition once at every position.
-        rows[n - k :] = [row for row in rows[n - k :] if row <= k]
-    return LatinSquareDesign(conditions, participants, seed, square, tuple(rows[:n]))
+        order = np.r_[order[: n - k], [row for row in order[n - k :] if row < k]]
+    people = pd.Index(participants, name="participant")
+    positions = pd.RangeIndex(1, k + 1, name="position")
+    return LatinSquareDesign(pd.DataFrame(square[order[:n]], people, positions), seed)

@@ -226,8 +226,7 @@ class ScaleScores(Result):
             several = coded.index.nlevels > 1
             groups: Any = coded.groupby(level=1, sort=False) if several else [(np.nan, coded)]
             for label, group in groups:
-                alpha = _alpha(group)
-                rows.append({"score": name, "condition": label} | alpha)
+                rows.append({"score": name, "condition": label} | _alpha(group))
         return pd.DataFrame(rows).query("items > 1").reset_index(drop=True)
 
 
@@ -348,16 +347,14 @@ def _weights(weights: pd.DataFrame, answers: pd.DataFrame, subject: str) -> pd.D
     """Return a weight per item for every row of the answers."""
     w = _read("weights", weights, answers.columns, subject, None)
     w.index, people = (table.index.get_level_values(0) for table in (w, answers))
-    w = w.reindex(people)
-    # Landau (1953): of six items, the j chosen least meet each other j(j − 1)/2 times.
-    least, wins = np.cumsum(range(6)), np.sort(w).cumsum(axis=1)
-    right = (wins >= least).all(axis=1) & (wins[:, -1] == 15.0) & (w % 1.0 == 0.0).all(axis=1)
-    for row in np.flatnonzero(~right):
+    w = w.reindex(people).set_axis(answers.index)
+    possible = w.isin(range(6)).all(axis=1) & (w.sum(axis=1) == 15.0)
+    for row in w.index[~possible]:
         raise ValueError(
-            f"weights: {w.iloc[row].tolist()} of {people[row]!r} are not those of fifteen choices "
-            "(nan where there are none)"
+            f"weights: {w.loc[row].tolist()} of {row} are not six whole numbers from 0 to 5, with "
+            "the sum 15 (nan where there are none)"
         )
-    return w.set_axis(answers.index)
+    return w
 
 
 def tlx_weights(

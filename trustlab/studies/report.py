@@ -59,7 +59,7 @@ class StudyReport(Result):
 
     def table(self) -> pd.DataFrame:
         """Return what `result.table()` does, or the table itself."""
-        return self.result if isinstance(self.result, pd.DataFrame) else self.result.table()
+        return _table_of(self.result)
 
     def write(self, path: str | os.PathLike) -> Path:
         """
@@ -141,18 +141,22 @@ def report(
     result = frame if dv is None else repeated_measures(frame, dv, within, subject, **options)
     if isinstance(result, RepeatedMeasures):
         return StudyReport(result, result.message, _section(result), result.origin)
-    table = result
-    if not isinstance(result, pd.DataFrame):
-        if not hasattr(result, "table"):
-            raise ValueError(
-                "frame must be a table with dv=, within=, subject=, or a result, got "
-                f"{type(frame).__name__}"
-            )
-        table = result.table()
+    table = _table_of(result)
     origin, title = _origin(result, table), getattr(result, "title", "Results")
     if len(table) == 1 and table.shape[1] > _WIDE:
         table = printed(table).T.reset_index().set_axis(["statistic", "value"], axis=1)
     return StudyReport(result, _sentences(result), {title: table}, origin)
+
+
+def _table_of(result: Any) -> pd.DataFrame:
+    if isinstance(result, pd.DataFrame):
+        return result
+    if not hasattr(result, "table"):
+        raise ValueError(
+            "frame must be a table with dv=, within=, subject=, or a result, got "
+            f"{type(result).__name__}"
+        )
+    return result.table()
 
 
 def _section(result: RepeatedMeasures) -> dict[str, pd.DataFrame]:
@@ -231,8 +235,8 @@ def _sentences(result: Any) -> str:
 
 
 def _origin(result: Any, table: pd.DataFrame) -> str:
-    synthetic = "synthetic data" if getattr(result, "synthetic", False) else ""
-    return getattr(result, "origin", "") or table.attrs.get("origin", "") or synthetic
+    origin = getattr(result, "origin", "") or table.attrs.get("origin", "")
+    return origin or ("synthetic data" if getattr(result, "synthetic", False) else "")
 
 
 def _drawn(result: RepeatedMeasures) -> str:

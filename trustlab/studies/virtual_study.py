@@ -313,7 +313,7 @@ def virtual_study(
         conditions=names,
         design=design,
         participants=people,
-        measures=_tidy(done[~failed], design),
+        measures=_tidy(done[~failed], design, names),
         failures=done.loc[failed, ["participant", "error"]].reset_index(drop=True),
         settings=settings,
         folder=folder,
@@ -353,14 +353,16 @@ def _fitting(testbed: Any, conditions: Any, laps: int | None) -> tuple[Any, tupl
     return bed, tuple(names)
 
 
-def _tidy(done: pd.DataFrame, design: LatinSquareDesign) -> pd.DataFrame:
+def _tidy(
+    done: pd.DataFrame, design: LatinSquareDesign, conditions: tuple[str, ...]
+) -> pd.DataFrame:
     """Return a row per session from a row per participant."""
     wide = done.set_index(done["participant"].astype(int)).filter(like="/").astype(float)
     wide.columns = wide.columns.str.split("/", n=1, expand=True).set_names(["condition", None])
     # Melting would lose the second level.
     long = wide.stack(0, future_stack=True)  # noqa: PD013
-    frame = design.orders().merge(long.reset_index(), validate="one_to_one")
-    frame["condition"] = pd.Categorical(frame["condition"], design.conditions)
+    frame = design.orders().merge(long.reset_index())
+    frame["condition"] = pd.Categorical(frame["condition"], conditions)
     return labelled(frame.assign(synthetic=True)[[*KEYS, *long]], ORIGIN)
 
 

@@ -144,7 +144,7 @@ def _rounded(frame: pd.DataFrame, name: str) -> list[str]:
 def decimals_of(values: Any, digits: int, least: int = 0) -> int:
     """Return the decimals, at least so many, that show some digits of a typical number."""
     sizes = np.abs(np.ravel(values).astype(float))
-    sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
+    sizes = sizes[(sizes > 0.0) & (sizes < np.inf)]
     typical = np.median(sizes) if sizes.size else 1.0
     return int(np.clip(digits - 1 - np.floor(np.log10(typical)), least, 12))
 
