@@ -173,9 +173,7 @@ def test_results_of_one_kind_are_one_table():
 
 
 def test_heads_name_the_level_of_intervals(tmp_path):
-    frame = frame_of()[lambda f: f["task"] == "easy"]
-    columns = {"dv": "score", "within": "scheme", "subject": "person"}
-    study = tl.report(tl.paired_t_test(frame, **columns, confidence=0.9))
+    study = tl.report(tl.paired_t_test(ONE, **PART, confidence=0.9))
     text = study.write(tmp_path / "r.tex").read_text()
     assert r"90\% CI" in text
     assert r"95\% CI" not in text

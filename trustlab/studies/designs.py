@@ -140,8 +140,8 @@ def design_balance(
         label_column(orders, argument, name)
     labels = labels_of("condition", orders[condition].drop_duplicates(), 2)
     rows = orders.sort_values(position)
-    for label, part in rows.groupby(participant, sort=False):
-        places, names = part[position].tolist(), part[condition].tolist()
+    lists = rows.groupby(participant, sort=False)[[position, condition]].agg(list)
+    for label, places, names in lists.itertuples():
         if {*names} != {*labels} or places != [*range(1, len(labels) + 1)]:
             raise ValueError(
                 f"participant {label!r} had {names} at {places}; each of {[*labels]} is needed "

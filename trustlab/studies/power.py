@@ -220,8 +220,6 @@ class PowerAnalysis(Tested):
         The population, before it is varied.
     simulation : Simulation
         Replicates, seed and levels.
-    varied : tuple of str
-        Columns of `table` that take several values; of several factors n and effect.
     tests : pandas.DataFrame
         The power of every F, which `table()` returns: a row per cell, effect and test: n (in each
         group), effect, effect_size (partial η² of the population), correlation, epsilon,
@@ -234,7 +232,6 @@ class PowerAnalysis(Tested):
 
     population: Conditions
     simulation: Simulation
-    varied: tuple[str, ...]
     tests: pd.DataFrame
     together: pd.DataFrame
 
@@ -289,9 +286,12 @@ class PowerAnalysis(Tested):
         tests = [test] if isinstance(test, str) else [*test]
         for name in tests:
             one_of("test", name, TESTS)
-        against, *others = self.varied or ("n",)
         # Values as computed differ in the last bits between the cells of one line.
-        table = self.tests.round(dict.fromkeys(others, 9)).sort_values(against)
+        table = self.tests.round(9)
+        of_effects = len({*table["effect"]}) > 1
+        counts = table[["n", *(["effect"] if of_effects else ["effect_size", "epsilon"])]].nunique()
+        against, *others = [*counts.index[counts > 1]] or ["n"]
+        table = table.sort_values(against, kind="stable")
         axes = axes_or_new(axes, figsize=(6.0, 3.8))
         for values, part in table[table["test"].isin(tests)].groupby([*others, "test"]):
             power = part["power"]
@@ -370,36 +370,32 @@ def power_analysis(
     """
     of_class("simulation", simulation, Simulation)
     population = population_of(mean, covariance, data, columns)
-    several = len(factors_of(columns)) > 1
-    axes: dict[str, Any] = {"n": n, "effect_size": effect_size, "epsilon": epsilon}
-    for name, value in {**axes, "n": None, "claims": claims}.items():
-        if several and value is not None:
-            raise ValueError(f"{name} has no effect here; leave it out")
+    options = (effect_size, epsilon, claims)
+    if len(factors_of(columns)) > 1 and any(option is not None for option in options):
+        raise ValueError("effect_size, epsilon and claims are for one factor; leave them out")
     mask = claims_mask(claims, population)
-    grid = {name: np.atleast_1d(value) for name, value in axes.items()}
     rows, claimed = [], []
-    for size, eta2, eps in product(*grid.values()):
+    # None, a text or a dict are one value, which is refused where it is used.
+    grid = [value if np.ndim(value) else [value] for value in (n, effect_size, epsilon)]
+    for size, eta2, eps in product(*grid):
         size = whole_number("n", size, least=3, most=MOST_N)
         people = population if eps is None else population.with_epsilon(eps)
         people = people if eta2 is None else people.with_effect(eta2)
         shares = simulated(people, size, simulation, mask).reset_index()
         exact = exact_tests(people, size, simulation.alpha)
         rows.append(exact.merge(shares, on="effect"))
-        claimed.append(exact[[*grid]].merge(shares.query("effect == 'claims'"), how="cross"))
+        where = exact[["n", "effect_size", "epsilon"]]
+        claimed.append(where.merge(shares.query("effect == 'claims'"), how="cross"))
     if not rows:
         raise ValueError("n, effect_size or epsilon is empty: give a number")
     tests = pd.concat(rows, ignore_index=True).assign(replicates=simulation.replicates)
     tests["closed_form"] = tests.pop("closed_form").where(tests["test"] == "none")
     together = pd.concat(claimed, ignore_index=True)
     together = together.rename(columns={"test": "adjust", "effect": "claims"})
-    varied = ["n", "effect"] if several else [name for name in grid if len(grid[name]) > 1]
+    together = together.assign(claims=len(claims or ()))
     origin = population.simulated_origin
     return PowerAnalysis(
-        population,
-        simulation,
-        tuple(varied),
-        labelled(tests, origin),
-        labelled(together.assign(claims=len(claims or ())), origin),
+        population, simulation, labelled(tests, origin), labelled(together, origin)
     )
 
 

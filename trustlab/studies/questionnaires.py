@@ -266,7 +266,7 @@ def score(
     ------
     ValueError
         Naming the item, and its row or subject, of an answer that is missing, not a number or not
-        on the scale, or whose weights cannot come from pairwise choices.
+        on the scale, or whose weights are not whole numbers from 0 to 5 with the sum 15.
 
     References
     ----------

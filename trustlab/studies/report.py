@@ -247,7 +247,8 @@ def _drawn(result: RepeatedMeasures) -> str:
     figure = result.plot().figure
     figure.savefig(drawing, format="svg")
     plt.close(figure)
-    return drawing.getvalue()[drawing.getvalue().index("<svg") :]
+    # Without the declarations of a file.
+    return "".join(drawing.getvalue().partition("<svg")[1:])
 
 
 def _html(text: str, tables: dict[str, pd.DataFrame]) -> str:

@@ -21,7 +21,7 @@ from trustlab.models.files import path_of
 from trustlab.sessions.writing import write_session
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
-from trustlab.studies.table import labelled, labels_of
+from trustlab.studies.table import labelled
 from trustlab.studies.words import listed
 from trustlab.testbeds.deciding import warn_if_too_short
 from trustlab.testbeds.testbed import ConditionTestbed, Testbed, named_testbed
@@ -287,8 +287,8 @@ def virtual_study(
     """
     seed = whole_number("seed", seed, least=0)
     bed, names = _fitting(testbed, conditions, laps)
-    k = len(labels_of("conditions", names, 2))
-    n = whole_number("n", participants_needed(k, bed.printed_n) if n is None else n, max(3, k))
+    usual = participants_needed(len(names), bed.printed_n)
+    n = whole_number("n", usual if n is None else n, least=max(3, len(names)))
     design = latin_square_design(names, n, seed=seed, whole_squares=False)
     people = bed.people(n, assumptions, seed)
     folder = None if out is None else _study_folder(out)
