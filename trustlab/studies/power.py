@@ -197,8 +197,9 @@ def claims_mask(claims: Any, population: Conditions) -> np.ndarray | None:
     if claims is None:
         return None
     given = claims if isinstance(claims, list | tuple) else [claims]
+    claimed = [tuple(pair) for pair in given if isinstance(pair, list | tuple)]
     pairs = combinations(population.labels, 2)
-    mask = np.array([(a, b) in given or (b, a) in given for a, b in pairs])
+    mask = np.array([(a, b) in claimed or (b, a) in claimed for a, b in pairs])
     if not 0 < len(given) == mask.sum():
         raise ValueError(
             f"claims must be different pairs (a, b) of {[*population.labels]}, got {shown(claims)}"
