@@ -185,7 +185,8 @@ class Conditions:
         groups = np.repeat(np.arange(self.groups), noise.shape[-2] // self.groups)
         codes = np.unravel_index(groups, [len(levels) for levels in self.between.values()] or [1])
         numbers = dict(zip(self.between, codes, strict=False))
-        scores = noise @ np.linalg.cholesky(self.covariance).T + np.atleast_2d(self.mean)[groups]
+        scores = noise @ np.linalg.cholesky(self.covariance).T
+        scores += np.atleast_2d(self.mean)[groups]
         return scores, Design(len(groups), self.within, self.between, numbers)
 
     def with_effect(self, eta2_partial: float) -> "Conditions":

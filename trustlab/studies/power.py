@@ -4,6 +4,7 @@ conditions, and the smallest n that reaches a power.
 """
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -24,7 +25,7 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.display import axes_or_new
-from trustlab.studies.anova import effects, orthonormal_contrasts, regress
+from trustlab.studies.anova import effect_name, effects, orthonormal_contrasts, regress
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.pairs import bonferroni, differences, holm, level_pairs
 from trustlab.studies.population import (
@@ -130,39 +131,42 @@ def clopper_pearson(count: ArrayLike, total: int, level: float = 0.95) -> tuple[
 
 def simulated(
     population: Conditions, n: int, simulation: Simulation, claims: np.ndarray | None
-) -> pd.DataFrame:
+) -> dict[tuple[str, str], dict[str, float]]:
     """
-    Draw studies from a normal population, and return the share of those that are significant.
+    Draw studies from a normal population, and return power and its interval by effect and test.
 
-    The index has the test (correction of F, or adjustment of pairs) and the effect: of claimed
-    pairs it is "pairs" where all are significant, and "claims" where they are so in the
-    population's direction, and F as well.
+    The test is a correction of F, or an adjustment of pairs; of claimed pairs the effect is "pairs"
+    where all are significant, and "claims" where they are so in the population's direction, and F
+    as well.
     """
     # By n alone: all populations of a size share their draws, which makes them easier to compare.
     rng = np.random.default_rng(SeedSequence(simulation.seed, spawn_key=(n,)))
     shape = (n * population.groups, len(population.labels))
-    counts: Any = 0
+    counts: Counter = Counter()
     # In parts, so that memory does not grow with the number of studies.
     step = max(1, SCORES // math.prod(shape))
     for first in range(0, simulation.replicates, step):
         size = (min(step, simulation.replicates - first), *shape)
         scores, design = population.study(rng.standard_normal(size))
-        p = effects(scores, design)[[*TESTS.values()]].set_axis([*TESTS], axis=1)
-        hits = (p < simulation.alpha).unstack("effect")  # noqa: PD010  a pivot would average
-        if claims is not None:
-            weights = level_pairs(design, *design.within)[1]
-            difference, se = differences(regress(scores, design), weights)
-            p_pairs = 2.0 * special.stdtr(n - 1, -np.abs(difference / se))
-            right = difference * (weights[:, 0] @ population.mean) > 0.0
-            right &= hits[USUAL_TEST].to_numpy()
-            for test, adjusted in ADJUSTMENTS.items():
-                found = adjusted(p_pairs) < simulation.alpha
-                hits[test, "pairs"] = found[:, claims].all(axis=1)
-                hits[test, "claims"] = (found & right)[:, claims].all(axis=1)
-        counts = counts + hits.sum()
-    low, high = clopper_pearson(counts, simulation.replicates, simulation.level)
-    shares = {"power": counts / simulation.replicates, "ci_low": low, "ci_high": high}
-    return pd.DataFrame(shares).rename_axis(["test", "effect"])
+        tests = effects(scores, design)[[*TESTS.values()]]
+        hits = (tests.to_numpy() < simulation.alpha).reshape(len(scores), -1).sum(axis=0)
+        names = product([effect_name(*effect) for effect in design.effects], TESTS)
+        counts.update(dict(zip(names, hits, strict=True)))
+        if claims is None:
+            continue
+        weights = level_pairs(design, *design.within)[1]
+        difference, se = differences(regress(scores, design), weights)
+        p = 2.0 * special.stdtr(n - 1, -np.abs(difference / se))
+        right = difference * (weights[:, 0] @ population.mean) > 0.0
+        right &= tests[[TESTS[USUAL_TEST]]].to_numpy() < simulation.alpha
+        for test, adjusted in ADJUSTMENTS.items():
+            found = adjusted(p) < simulation.alpha
+            counts["pairs", test] += found[:, claims].all(axis=1).sum()
+            counts["claims", test] += (found & right)[:, claims].all(axis=1).sum()
+    total = pd.Series(counts)
+    low, high = clopper_pearson(total, simulation.replicates, simulation.level)
+    shares = {"power": total / simulation.replicates, "ci_low": low, "ci_high": high}
+    return pd.DataFrame(shares).to_dict("index")
 
 
 def exact_tests(population: Conditions, n: int, alpha: float) -> pd.DataFrame:
@@ -375,28 +379,34 @@ def power_analysis(
     if len(factors_of(columns)) > 1 and any(option is not None for option in options):
         raise ValueError("effect_size, epsilon and claims are for one factor; leave them out")
     mask = claims_mask(claims, population)
-    rows, claimed = [], []
     # None, a text or a dict are one value, which is refused where it is used.
-    grid = [value if np.ndim(value) else [value] for value in (n, effect_size, epsilon)]
+    grid: Any = [value if np.ndim(value) else [value] for value in (n, effect_size, epsilon)]
+    rows, together = [], []
     for size, eta2, eps in product(*grid):
         size = whole_number("n", size, least=3, most=MOST_N)
         people = population if eps is None else population.with_epsilon(eps)
         people = people if eta2 is None else people.with_effect(eta2)
-        shares = simulated(people, size, simulation, mask).reset_index()
-        exact = exact_tests(people, size, simulation.alpha)
-        rows.append(exact.merge(shares, on="effect"))
-        where = exact[["n", "effect_size", "epsilon"]]
-        claimed.append(where.merge(shares.query("effect == 'claims'"), how="cross"))
+        shares = simulated(people, size, simulation, mask)
+        for where in exact_tests(people, size, simulation.alpha).to_dict("records"):
+            closed = {"none": where.pop("closed_form")}
+            for test in TESTS:
+                row = where | {"test": test} | shares[where["effect"], test]
+                row["replicates"] = simulation.replicates
+                rows.append(row | {"closed_form": closed.get(test, np.nan)})
+        if mask is not None:
+            where = {name: where[name] for name in ("n", "effect_size", "epsilon")}
+            together += [
+                where | {"adjust": test, "claims": len(claims)} | shares["claims", test]
+                for test in ADJUSTMENTS
+            ]
     if not rows:
         raise ValueError("n, effect_size or epsilon is empty: give a number")
-    tests = pd.concat(rows, ignore_index=True).assign(replicates=simulation.replicates)
-    tests["closed_form"] = tests.pop("closed_form").where(tests["test"] == "none")
-    together = pd.concat(claimed, ignore_index=True)
-    together = together.rename(columns={"test": "adjust", "effect": "claims"})
-    together = together.assign(claims=len(claims or ()))
     origin = population.simulated_origin
     return PowerAnalysis(
-        population, simulation, labelled(tests, origin), labelled(together, origin)
+        population,
+        simulation,
+        labelled(pd.DataFrame(rows), origin),
+        labelled(pd.DataFrame(together), origin),
     )
 
 
@@ -524,8 +534,8 @@ def smallest_n(
         effect, name = "pairs", f"{pair[0]} – {pair[1]}"
 
     @cache
-    def found(n: int) -> pd.Series:
-        return simulated(population, n, simulation, mask).loc[test, effect]
+    def found(n: int) -> dict[str, float]:
+        return simulated(population, n, simulation, mask)[effect, test]
 
     low, high = 2, 3
     while found(high)["power"] < target:
