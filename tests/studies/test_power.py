@@ -33,9 +33,8 @@ def test_a_graded_covariance_has_what_was_asked_for(k, place, share, sd):
     rho = -1.0 / d + (1.0 / d + 0.99) * (0.001 + 0.998 * place)
     epsilon = 1.0 if d == 1 else 1.0 / d + (1.0 - 1.0 / d) * share
     matrix = graded_covariance(k, rho, epsilon, sd)
-    population = Conditions(tuple(range(k)), np.arange(float(k)), matrix)
     assert np.trace(matrix) / k == pytest.approx(sd**2, rel=1e-9)
-    assert population.correlation == pytest.approx(rho, abs=1e-9)
+    assert matrix[~np.eye(k, dtype=bool)].mean() == pytest.approx(rho * sd**2, abs=1e-9 * sd**2)
     centre = np.eye(k) - 1.0 / k
     between = centre @ matrix @ centre
     found = np.trace(between) ** 2 / (d * (between**2).sum())
@@ -50,12 +49,11 @@ def test_an_effect_is_reached_and_its_pattern_kept(eta2, seed):
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((4, 4))
     population = Conditions(range(4), rng.normal(size=4), root @ root.T + 0.1 * np.eye(4))
-    scaled = population.with_effect(eta2)
-    s = ((scaled.mean - scaled.mean.mean()) ** 2).sum()
+    change, before = (m - m.mean() for m in (population.with_effect(eta2).mean, population.mean))
     trace = np.trace((np.eye(4) - 0.25) @ population.covariance)
+    s = (change**2).sum()
     assert s / (s + trace) == pytest.approx(eta2, rel=1e-9)
-    assert scaled.mean.mean() == pytest.approx(population.mean.mean(), abs=1e-9)
-    assert np.corrcoef(scaled.mean, population.mean)[0, 1] == pytest.approx(1.0, abs=1e-9)
+    assert np.corrcoef(change, before)[0, 1] == pytest.approx(1.0, abs=1e-9)
     assert np.ptp(population.with_effect(0.0).mean) == 0.0
 
 
@@ -73,8 +71,7 @@ def test_fifteen_cases_agree_with_the_noncentral_f():
     z = (rows["power"] - oracle) / np.sqrt(oracle * (1.0 - oracle) / rows["replicates"])
     assert len(z) == 15
     assert z.abs().max() < 4.0
-    assert (rows["ci_low"] < rows["power"]).all()
-    assert (rows["power"] < rows["ci_high"]).all()
+    assert rows["power"].between(rows["ci_low"], rows["ci_high"], inclusive="neither").all()
 
 
 @pytest.mark.parametrize(("n", "k"), [(12, 4), (3, 5)])
@@ -118,20 +115,12 @@ def test_several_factors_agree_with_the_closed_form(mean, covariance, columns):
     exact = closed["closed_form"]
     error = np.sqrt(exact * (1.0 - exact) / 4000)
     assert ((closed["power"] - exact).abs() < 4.0 * error + 1e-12).all()
-
-
-def test_closed_form_is_the_noncentral_f_written_out():
-    """Autonomy has one contrast; difficulty by sums of squares of the marginal means."""
-    power = tl.power_analysis(
-        TWO_WAY, graded_covariance(6), columns=FACTORS, n=24, simulation=SMALL
-    )
-    closed = power.table().query("test == 'none'").set_index("effect")["closed_form"]
-    wide = TWO_WAY.to_numpy().reshape(2, 3)
-    difference = np.diff(wide.mean(axis=1)).item() ** 2
-    variance = 2.0 / 3.0 * (1.0 - 0.5)  # of a difference of means of three cells
-    assert closed["autonomy"] == pytest.approx(noncentral_f(24, 2, 24 * difference / variance))
-    spread = ((wide.mean(axis=0) - wide.mean()) ** 2).sum() * 2
-    assert closed["difficulty"] == pytest.approx(noncentral_f(24, 3, 24 * spread / (1.0 - 0.5)))
+    if mean is TWO_WAY:
+        # Difficulty by hand: sums of squares of the marginal means, of two cells each.
+        margins = TWO_WAY.to_numpy().reshape(2, 3).mean(axis=0)
+        strength = 24 * 2 * margins.var() * 3 / (1.0 - 0.5)
+        (found,) = closed.query("effect == 'difficulty' and n == 24")["closed_form"]
+        assert found == pytest.approx(noncentral_f(24, 3, strength))
 
 
 def test_a_grid_is_drawn():
@@ -180,12 +169,8 @@ def test_means_beside_data_take_the_spread_of_the_pilot():
     expected = planned([2.1, 2.0], np.cov(wide.to_numpy().T))
     assert (plan.n, plan.power) == (expected.n, expected.power)
     assert plan.population.labels == ("C3", "C1")
-    with pytest.raises(ValueError, match=r"mean names \['C9'\], but data hold"):
+    with pytest.raises(ValueError, match=r"mean names \['C9'\], but the covariance is that of"):
         planned({"C1": 2.0, "C9": 2.1}, data=PILOT)
-    whole = planned([*PILOT.groupby("mode")["score"].mean()], data=PILOT)
-    own = planned(data=PILOT)
-    assert whole.population.labels == own.population.labels
-    assert (whole.n, whole.power) == (own.n, own.power)
 
 
 def test_people_whose_scores_do_not_depend_on_each_other_are_a_population():
@@ -205,14 +190,10 @@ def test_the_search_ends_at_most():
 def test_a_plan_says_what_it_assumes():
     with pytest.warns(UserWarning, match="covariance is that of synthetic data"):
         plan = planned({"C1": 2.0, "C3": 2.1}, data=PILOT.assign(synthetic=True))
-    for words in (
-        f"A sample of {plan.n} participants",
-        "200 simulated studies (seed 3)",
-        "95% CI [",
-        "C1 2 (",
-        "The covariance is that of synthetic data",
-    ):
-        assert words in plan.apa()
+    text = plan.apa()
+    assert text.startswith(f"A sample of {plan.n} participants")
+    for words in ("200 simulated studies (seed 3)", "95% CI [", "C1 2 (", "that of synthetic data"):
+        assert words in text
     wide = tl.smallest_n(0.8, [0, 1], np.eye(2), simulation=Simulation(replicates=100, level=0.8))
     assert "80% CI [" in wide.apa()
 
@@ -235,8 +216,7 @@ def test_the_smallest_n_is_that_of_the_closed_form(chosen, test, closed):
     assert abs(found.n - exact) <= 0.05 * exact
     assert found.ci_low <= closed(found.n) <= found.ci_high
     assert found.test == test
-    assert found.whole_squares % 10 == 0
-    assert found.whole_squares >= found.n
+    assert found.whole_squares == 10 * -(-found.n // 10)
     if "pair" not in chosen:
         of = {"n": [found.n - 1, found.n], "effect_size": 0.1, "simulation": many}
         power = tl.power_analysis(MEANS, graded_covariance(5), **of).table()
@@ -250,18 +230,13 @@ def test_the_smallest_n_is_that_of_the_closed_form(chosen, test, closed):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"covariance": np.eye(3) + np.eye(3, k=1)}, "symmetric and positive definite"),
         ({"covariance": np.ones((3, 3))}, "positive definite; its least eigenvalue"),
         ({"claims": [(1, 2), (2, 1)]}, r"claims must be different pairs \(a, b\) of \[1, 2, 3\]"),
-        ({"claims": [(1, 1)]}, "claims must be different pairs"),
-        ({"data": pd.DataFrame()}, "data= takes the place of covariance="),
         ({"mean": TWO_WAY.iloc[:-1], "columns": FACTORS}, r"no number for cell \('high', 'hard'\)"),
-        ({"mean": TWO_WAY, "columns": FACTORS, "effect_size": 0.2}, "effect_size has no effect"),
     ],
 )
 def test_what_cannot_be_simulated_is_refused(arguments, message):
-    size = 6 if "columns" in arguments else 3
-    population = {"mean": [0.0, 0.5, 1.0], "covariance": graded_covariance(size)}
+    population = {"mean": [0.0, 0.5, 1.0], "covariance": graded_covariance(3)}
     with pytest.raises(ValueError, match=message):
         tl.power_analysis(**population | arguments, simulation=SMALL)
 
@@ -269,6 +244,7 @@ def test_what_cannot_be_simulated_is_refused(arguments, message):
 def test_names_of_a_covariance_are_those_of_the_conditions():
     """They were taken by position: C's variance went to A."""
     means = {"A": 1.0, "B": 2.0, "C": 5.0}
-    other = pd.DataFrame(np.diag([1.0, 2.0, 30.0]), list("CBA"), list("CBA"))
-    with pytest.raises(ValueError, match=r"covariance must have the conditions \['A', 'B', 'C'\]"):
-        tl.power_analysis(means, other, n=5)
+    turned = pd.DataFrame(np.diag([30.0, 2.0, 1.0]), list("CBA"), list("CBA"))
+    found = tl.power_analysis(means, turned, n=5, simulation=SMALL).table()
+    same = tl.power_analysis(means, np.diag([1.0, 2.0, 30.0]), n=5, simulation=SMALL).table()
+    pd.testing.assert_frame_equal(found, same)

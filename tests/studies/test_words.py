@@ -6,7 +6,7 @@ import pytest
 
 import trustlab as tl
 from tests.studies.scores import COLUMNS, drawn, long
-from trustlab.studies.words import apa_number, apa_p, apa_table
+from trustlab.studies.words import apa_number, apa_p, printed
 
 
 @pytest.mark.parametrize(
@@ -72,17 +72,16 @@ def test_a_table_for_reading():
         }
     )
     before = frame.copy()
-    found = apa_table(frame)
-    assert found.to_dict("list") == {
-        "a": [0.0, 0.2],  # labels stay
-        "condition": [0.125, 0.25],
-        "n": [7, 8],
+    assert printed(frame).to_dict("list") == {
+        "a": ["0.0", "0.2"],  # labels stay
+        "condition": ["0.125", "0.25"],
+        "n": ["7", "8"],
         "df1": ["1", "2"],  # decimals only where there are fractions
         "df2": ["21.00", "30.50"],
         "F": ["6.88", ""],
         "p": ["< .001", ".050"],
-        "p_holm": ["", "> .999"],
-        "mauchly_p": [".500", ".250"],
+        "p (Holm)": ["", "> .999"],
+        "mauchly p": [".500", ".250"],
         "points": ["1.25", "2.00"],
     }
     pd.testing.assert_frame_equal(frame, before)
@@ -96,13 +95,8 @@ def test_pairs_have_the_interval_of_d_z():
     assert f"d_z = {d}, 95% CI [{low}, {high}]" in result.apa()
 
 
-@pytest.mark.parametrize(
-    ("rows", "words"),
-    [
-        ([3], "Left out for missing scores: 1 participant (1)."),
-        ([3, 5], "Left out for missing scores: 2 participants (1, 2)."),
-    ],
-)
-def test_one_participant_and_several(rows, words):
-    frame = drawn(mode="ab").drop(index=rows)
-    assert tl.repeated_measures(frame, **COLUMNS, missing="listwise").apa().endswith(words)
+def test_one_participant_and_several():
+    frame = drawn(mode="ab")
+    for rows, words in (([3], "1 participant (1)."), ([3, 5], "2 participants (1, 2).")):
+        result = tl.repeated_measures(frame.drop(index=rows), **COLUMNS, missing="listwise")
+        assert result.apa().endswith(f"Left out for missing scores: {words}")

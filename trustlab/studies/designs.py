@@ -30,17 +30,11 @@ def williams_square(n: int) -> np.ndarray:
     numpy.ndarray of int, shape (n, n) for even n, (2 n, n) for odd n
         Condition numbers from 0, a row per order.
 
-    Raises
-    ------
-    ValueError
-        If `n` is not a whole number of at least 2.
-
     References
     ----------
     E. J. Williams, Experimental designs balanced for the estimation of residual effects of
     treatments, Australian Journal of Scientific Research A 2 (1949) 149-168.
     """
-    n = whole_number("n", n, least=2)
     steps = np.arange(n)
     zigzag = np.where(steps % 2 == 1, (steps + 1) // 2, -(steps // 2)) % n
     square = (zigzag + steps[:, None]) % n
@@ -107,7 +101,7 @@ class DesignBalance(Result):
     def table(self) -> pd.DataFrame:
         """Return all counts: of every condition by position, and by the condition that follows."""
         counts = {"position": self.positions, "followed by": self.carry_over}
-        return pd.concat(counts, axis=1)
+        return pd.concat(counts, axis=1).rename_axis(index="condition")
 
 
 def design_balance(
@@ -146,8 +140,8 @@ def design_balance(
         label_column(orders, argument, name)
     labels = labels_of("condition", orders[condition].drop_duplicates(), 2)
     rows = orders.sort_values(position)
-    for label, part in rows.groupby(participant, sort=False):
-        places, names = part[position].tolist(), part[condition].tolist()
+    lists = rows.groupby(participant, sort=False)[[position, condition]].agg(list)
+    for label, places, names in lists.itertuples():
         if {*names} != {*labels} or places != [*range(1, len(labels) + 1)]:
             raise ValueError(
                 f"participant {label!r} had {names} at {places}; each of {[*labels]} is needed "
@@ -171,40 +165,32 @@ class LatinSquareDesign(Result):
 
     Parameters
     ----------
-    conditions : tuple of str
-        The conditions, as given.
-    participants : tuple
-        Their numbers or names, in the order in which they come to the lab.
+    plan : pandas.DataFrame
+        The condition of every participant (in the order in which they come to the lab), a column
+        per position.
     seed : int
         The seed of the labels and of the order of rows.
-    square : pandas.DataFrame
-        The square with its labels drawn: a row per order (numbered from 1), a column per position.
-    rows : tuple of int
-        The row of the square that each participant follows.
     """
 
     title = "Latin square"
 
-    conditions: tuple[Hashable, ...]
-    participants: tuple[Hashable, ...]
+    plan: pd.DataFrame
     seed: int
-    square: pd.DataFrame
-    rows: tuple[int, ...]
 
     @property
     def message(self) -> str:
-        """How many orders, and the seed of their draw."""
-        return f"{len(self.square)} orders in a square, seed {self.seed}"
+        """Who is in it, and the seed of its draw."""
+        people, conditions = self.plan.shape
+        return f"{people} participants, {conditions} conditions, seed {self.seed}"
 
     def table(self) -> pd.DataFrame:
         """Return the plan for the lab: a row per participant, a column per position."""
-        plan = self.square.loc[list(self.rows)]
-        return plan.set_axis(pd.Index(self.participants, name="participant"), axis=0)
+        return self.plan.copy()
 
     def orders(self) -> pd.DataFrame:
         """Return the plan as a tidy table: participant, position, condition."""
-        plan = self.table().stack()  # noqa: PD013  melt would sort the rows by position
-        return plan.rename("condition").reset_index().infer_objects()
+        rows = self.plan.stack()  # noqa: PD013  melt would sort the rows by position
+        return rows.rename("condition").reset_index().infer_objects()
 
 
 def latin_square_design(
@@ -231,7 +217,7 @@ def latin_square_design(
         Seed of the draws; report it with the design.
     whole_squares : bool
         Whether to refuse a number of participants that leaves a square incomplete; False only
-        warns, and the design is then not balanced.
+        warns. The design is then not balanced, but in positions where half a square is filled.
 
     Returns
     -------
@@ -263,6 +249,7 @@ def latin_square_design(
     seed = whole_number("seed", seed, least=0)
     k, n = len(conditions), len(participants)
     size = participants_needed(k)
+    half = n % size == k < size
     if n % size:
         below, above = n // size * size, participants_needed(k, n)
         text = (
@@ -272,14 +259,23 @@ def latin_square_design(
         if whole_squares:
             raise ValueError(
                 f"{text}; latin_square_design(..., whole_squares=False) takes {n} all the same, in "
-                "a design that is not balanced, which virtual_study takes as its first argument"
+                "a design that is not balanced"
             )
-        warn(f"{text}; this design is not balanced")
+        warn(
+            f"{n} participants fill half of the last square: each of the {k} conditions stands "
+            "equally often at every position, but does not follow every other one equally often; "
+            f"{above} participants would balance both"
+            if half
+            else f"{text}; this design is not balanced"
+        )
     labels, *batches = spawned(seed, 1 - (-n // size))
     drawn = np.random.default_rng(labels).permutation(k)[williams_square(k)]
-    square = pd.DataFrame(drawn, range(1, size + 1), range(1, k + 1)).astype(object)
-    square = square.map(conditions.__getitem__).rename_axis(index="order", columns="position")
-    rows = [
-        int(row) + 1 for batch in batches for row in np.random.default_rng(batch).permutation(size)
-    ]
-    return LatinSquareDesign(conditions, participants, seed, square, tuple(rows[:n]))
+    square = np.array(conditions, dtype=object)[drawn]
+    order = np.concatenate([np.random.default_rng(batch).permutation(size) for batch in batches])
+    if half:
+        # The first k orders of a square for odd k are a Latin square by themselves: every
+        # condition once at every position.
+        order = np.r_[order[: n - k], [row for row in order[n - k :] if row < k]]
+    people = pd.Index(participants, name="participant")
+    positions = pd.RangeIndex(1, k + 1, name="position")
+    return LatinSquareDesign(pd.DataFrame(square[order[:n]], people, positions), seed)

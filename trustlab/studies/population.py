@@ -93,14 +93,13 @@ def graded_covariance(
             f"between {-1.0 / d:.4g} and 1, and an ε above {1.0 / d:.4g} up to 1"
         )
 
-    def shares(log_ratio: float) -> np.ndarray:
-        return special.softmax(log_ratio * np.arange(d))
+    steps = np.arange(d)
 
     def excess(log_ratio: float) -> float:
-        return 1.0 / (d * (shares(log_ratio) ** 2).sum()) - eps
+        return 1.0 / (d * (special.softmax(log_ratio * steps) ** 2).sum()) - eps
 
     ratio = brentq(excess, -60.0, 0.0, xtol=1e-14, rtol=1e-14) if eps < 1.0 - 1e-12 else 0.0
-    variances = d * sd**2 * (1.0 - rho) * shares(ratio)
+    variances = d * sd**2 * (1.0 - rho) * special.softmax(ratio * steps)
     # Powers of x span the same spaces, but are nearly dependent beyond a dozen conditions.
     basis = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, d + 1), d))[0]
     together = sd**2 * (1.0 + d * rho)
@@ -169,19 +168,26 @@ class Conditions:
         trace = np.trace(self.covariance)
         return float((self.covariance.sum() / trace - 1.0) / (len(self.labels) - 1))
 
-    def design(self, n: int) -> tuple[np.ndarray, Design]:
+    @property
+    def groups(self) -> int:
+        """How many groups of participants there are."""
+        return len(np.atleast_2d(self.mean))
+
+    def study(self, noise: np.ndarray) -> tuple[np.ndarray, Design]:
         """
-        Return the group of every participant and the design.
+        Return the scores of participants, as many in each group, and the design.
 
         Parameters
         ----------
-        n : int
-            Participants in each group.
+        noise : numpy.ndarray, shape (..., participants, k)
+            What makes them differ: independent numbers of variance 1.
         """
-        groups = np.repeat(np.arange(len(np.atleast_2d(self.mean))), n)
+        groups = np.repeat(np.arange(self.groups), noise.shape[-2] // self.groups)
         codes = np.unravel_index(groups, [len(levels) for levels in self.between.values()] or [1])
         numbers = dict(zip(self.between, codes, strict=False))
-        return groups, Design(len(groups), self.within, self.between, numbers)
+        scores = noise @ np.linalg.cholesky(self.covariance).T
+        scores += np.atleast_2d(self.mean)[groups]
+        return scores, Design(len(groups), self.within, self.between, numbers)
 
     def with_effect(self, eta2_partial: float) -> "Conditions":
         """
@@ -232,73 +238,62 @@ def population_of(
     Return the population that means and a covariance, or those of data, make.
 
     Means are an array, or a mapping or Series that names the conditions, or of several factors is
-    indexed by their levels. Of data, the sample means and covariance are taken for the
-    population's; means given beside data replace those of the conditions that they name, and leave
-    the others out.
+    indexed by their levels. Means given beside data replace those of the conditions that they name,
+    and leave the others out.
     """
-    names, origin = factors_of(columns), ""
-    known = pd.Series(dtype=float)
+    factors, origin = factors_of(columns), ""
+    several = len(factors) > 1
     if data is not None:
-        if covariance is not None or (len(names) > 1 and mean is not None):
+        if covariance is not None or (several and mean is not None):
             raise ValueError(
                 "data= takes the place of covariance=, of several factors of mean= too"
             )
-        roles = (columns.dv, columns.within, columns.subject)
-        pilot = repeated_measures(data, *roles, between=columns.between, order=columns.order)
-        levels = [*pilot.between.values(), *pilot.within.values()]
-        cells = pd.MultiIndex.from_product(levels) if len(names) > 1 else pilot.scores.columns
-        known = pd.Series(pilot.descriptives()["mean"].to_numpy(), cells)
-        mean = known if mean is None else mean
-        origin, covariance = pilot.origin, pilot.residual_covariance()
-        if origin:
-            warn(
-                f"the covariance is that of {origin}: how much people differ is assumed there, and "
-                "n goes with the square of it"
-            )
+        pilot_mean, covariance, origin = _pilot(data, columns)
+        mean = pilot_mean if mean is None else mean
     if mean is None or covariance is None:
         raise ValueError("give mean= and covariance= of the conditions, or data= to take both from")
+    known = [*covariance.index] if isinstance(covariance, pd.DataFrame) else []
     if not isinstance(mean, dict | pd.Series):
         values = finite_array("mean", mean)
-        labels = covariance.index if isinstance(covariance, pd.DataFrame) else known.index
-        if len(labels) != len(values):
-            labels = pd.RangeIndex(1, len(values) + 1)
-        mean = pd.Series(values, labels)
-    mean = pd.Series(mean, dtype=float)
-    if len(names) > 1:
-        return _population_of_cells(mean, covariance, columns, origin)
-    labels = [*mean.index]
-    if data is not None:
-        if unknown := [name for name in labels if name not in known.index]:
-            raise ValueError(f"mean names {unknown}, but data hold {[*known.index]}")
-        places = known.index.get_indexer(labels)
-        covariance = covariance[np.ix_(places, places)]
-    elif isinstance(covariance, pd.DataFrame) and not (
-        labels == [*covariance.index] == [*covariance.columns]
-    ):
-        raise ValueError(
-            f"covariance must have the conditions {labels} in rows and columns, in this order"
+        same = len(known) == len(values)
+        mean = pd.Series(values, known if same else range(1, len(values) + 1))
+    means = pd.Series(mean, dtype=float)
+    if means.index.nlevels != len(factors):
+        raise ValueError(f"mean must be indexed by {', '.join(map(str, factors))}")
+    if not several:
+        labels = [*means.index]
+        if known:
+            if unknown := [name for name in labels if name not in known]:
+                raise ValueError(f"mean names {unknown}, but the covariance is that of {known}")
+            covariance = covariance.reindex(index=labels, columns=labels)
+        return Conditions(labels, means.to_numpy(), covariance, origin)
+    levels = {name: tuple(means.index.unique(i)) for i, name in enumerate(factors)}
+    means = means.reindex(pd.MultiIndex.from_product(levels.values()))
+    for cell in means.index[means.isna()]:
+        raise ValueError(f"mean: no number for cell {cell!r} of {factors}")
+    between = {name: levels.pop(name) for name in names_of(columns.between)}
+    labels = [*product(*levels.values())]
+    groups = means.to_numpy().reshape(-1, len(labels))
+    mean = groups if between else groups[0]
+    return Conditions(labels, mean, covariance, origin, levels, between)
+
+
+def _pilot(data: pd.DataFrame, columns: StudyColumns) -> tuple[pd.Series, pd.DataFrame, str]:
+    """Return means, covariance given the groups, and origin of the scores of a pilot study."""
+    roles = (columns.dv, columns.within, columns.subject)
+    pilot = repeated_measures(data, *roles, between=columns.between, order=columns.order)
+    cells = pilot.scores.columns
+    if pilot.origin:
+        warn(
+            f"the covariance is that of {pilot.origin}: how much people differ is assumed there, "
+            "and n goes with the square of it"
         )
-    return Conditions(labels, mean.to_numpy(), covariance, origin)
+    names = "condition" if pilot.one_way else factors_of(columns)
+    means = pilot.descriptives().set_index(names)["mean"]
+    return means, pd.DataFrame(pilot.residual_covariance(), cells, cells), pilot.origin
 
 
 def factors_of(columns: StudyColumns) -> list[Hashable]:
     """Return the factors of a study, those between subjects first."""
     of_class("columns", columns, StudyColumns)
     return [*names_of(columns.between), *names_of(columns.within)]
-
-
-def _population_of_cells(
-    mean: pd.Series, covariance: Any, columns: StudyColumns, origin: str
-) -> Conditions:
-    """Return the population of means indexed by the levels of several factors."""
-    names = factors_of(columns)
-    if mean.index.nlevels != len(names):
-        raise ValueError(f"mean must be indexed by {', '.join(map(str, names))}")
-    levels = {name: tuple(mean.index.unique(i)) for i, name in enumerate(names)}
-    cells = mean.reindex(pd.MultiIndex.from_product(levels.values()))
-    for cell in cells.index[cells.isna()]:
-        raise ValueError(f"mean: no number for cell {cell!r} of {names}")
-    between = {name: levels.pop(name) for name in names_of(columns.between)}
-    labels = tuple(product(*levels.values()))
-    means = cells.to_numpy().reshape(-1, len(labels))
-    return Conditions(labels, means if between else means[0], covariance, origin, levels, between)

@@ -3,8 +3,11 @@ The power of within-subject, factorial and mixed designs by studies drawn from p
 conditions, and the smallest n that reaches a power.
 """
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations, product
 from typing import Any
 
@@ -22,12 +25,7 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.display import axes_or_new
-from trustlab.studies.anova import (
-    effect_name,
-    effects,
-    regress,
-    sphericity,
-)
+from trustlab.studies.anova import effect_name, effects, orthonormal_contrasts, regress
 from trustlab.studies.designs import participants_needed
 from trustlab.studies.pairs import bonferroni, differences, holm, level_pairs
 from trustlab.studies.population import (
@@ -38,7 +36,7 @@ from trustlab.studies.population import (
     population_of,
 )
 from trustlab.studies.table import Tested, labelled
-from trustlab.studies.words import apa_number
+from trustlab.studies.words import apa_number, share
 
 # What power is computed against, and how a figure labels it.
 AXES = {
@@ -95,66 +93,10 @@ class Simulation:
 USUAL_SIMULATION = Simulation()
 
 
-# --- populations ----------------------------------------------------------------------------------
+# --- studies --------------------------------------------------------------------------------------
 
 
-def findings(
-    population: Conditions, n: int, simulation: Simulation, claims: np.ndarray | None
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """
-    Draw studies from a normal population and count those that are significant.
-
-    The first table has a row per effect, a column per correction of F. The second has a row per
-    adjustment of the pairs: in how many studies all claimed pairs are significant ("pairs"), and in
-    how many they are so in the population's direction, and F as well ("claims").
-    """
-    # By n alone: all populations of a size share their draws, which makes them easier to compare.
-    rng = np.random.default_rng(SeedSequence(simulation.seed, spawn_key=(n,)))
-    groups, design = population.design(n)
-    root = np.linalg.cholesky(population.covariance).T
-    mean = np.atleast_2d(population.mean)[groups]
-    tests: Any = 0
-    pairs = pd.DataFrame(0, [*ADJUSTMENTS], ["pairs", "claims"])
-    if claims is not None:
-        weights = level_pairs(design, *design.within)[1]
-        true = weights[:, 0] @ population.mean
-    # In parts, so that memory does not grow with the number of studies.
-    step = max(1, SCORES // mean.size)
-    for first in range(0, simulation.replicates, step):
-        size = (min(step, simulation.replicates - first), *mean.shape)
-        scores = rng.standard_normal(size) @ root + mean
-        hits = effects(scores, design)[[*TESTS.values()]].set_axis([*TESTS], axis=1)
-        hits = hits < simulation.alpha
-        tests = tests + hits.groupby("effect", sort=False).sum()
-        if claims is None:
-            continue
-        difference, se = differences(regress(scores, design), weights)
-        p = 2.0 * special.stdtr(n - 1, -np.abs(difference / se))
-        usual = hits[USUAL_TEST].to_numpy()[:, None]
-        for name, adjusted in ADJUSTMENTS.items():
-            found = adjusted(p) < simulation.alpha
-            right = found & (difference * true > 0.0) & usual
-            pairs.loc[name] += [part[:, claims].all(axis=1).sum() for part in (found, right)]
-    return tests, pairs
-
-
-def claims_mask(claims: Sequence[tuple] | None, population: Conditions) -> np.ndarray | None:
-    """Return which pairs are claimed, over all pairs a < b; None without claims."""
-    if claims is None:
-        return None
-    given = claims if isinstance(claims, list | tuple) else [claims]
-    claimed = [{*pair} for pair in given if isinstance(pair, list | tuple)]
-    mask = np.array([{*pair} in claimed for pair in combinations(population.labels, 2)])
-    if not 0 < len(given) == mask.sum():
-        raise ValueError(
-            f"claims must be different pairs (a, b) of {[*population.labels]}, got {shown(claims)}"
-        )
-    return mask
-
-
-def clopper_pearson(
-    count: ArrayLike, total: int, level: float = 0.95
-) -> tuple[np.ndarray, np.ndarray]:
+def clopper_pearson(count: ArrayLike, total: int, level: float = 0.95) -> tuple[Any, Any]:
     """
     Return the exact interval of a share of which `count` in `total` draws were found (Clopper and
     Pearson, 1934).
@@ -170,7 +112,7 @@ def clopper_pearson(
 
     Returns
     -------
-    low, high : numpy.ndarray
+    low, high : float or numpy.ndarray
         Limits, of the shape of `count`.
 
     Raises
@@ -184,15 +126,89 @@ def clopper_pearson(
         raise ValueError(f"count must hold whole numbers from 0 to {total}, got {count!r:.60}")
     from statsmodels.stats.proportion import proportion_confint
 
-    low, high = proportion_confint(counts, total, alpha=1.0 - level, method="beta")
-    return np.asarray(low), np.asarray(high)
+    return proportion_confint(counts, total, alpha=1.0 - level, method="beta")
 
 
-def _share(count: int, simulation: Simulation) -> dict[str, float]:
-    """Return power and its interval."""
-    low, high = clopper_pearson(count, simulation.replicates, simulation.level)
-    power = count / simulation.replicates
-    return {"power": power, "ci_low": float(low), "ci_high": float(high)}
+def simulated(
+    population: Conditions, n: int, simulation: Simulation, claims: np.ndarray | None
+) -> dict[tuple[str, str], dict[str, float]]:
+    """
+    Draw studies from a normal population, and return power and its interval by effect and test.
+
+    The test is a correction of F, or an adjustment of pairs; of claimed pairs the effect is "pairs"
+    where all are significant, and "claims" where they are so in the population's direction, and F
+    as well.
+    """
+    # By n alone: all populations of a size share their draws, which makes them easier to compare.
+    rng = np.random.default_rng(SeedSequence(simulation.seed, spawn_key=(n,)))
+    shape = (n * population.groups, len(population.labels))
+    counts: Counter = Counter()
+    # In parts, so that memory does not grow with the number of studies.
+    step = max(1, SCORES // math.prod(shape))
+    for first in range(0, simulation.replicates, step):
+        size = (min(step, simulation.replicates - first), *shape)
+        scores, design = population.study(rng.standard_normal(size))
+        tests = effects(scores, design)[[*TESTS.values()]]
+        hits = (tests.to_numpy() < simulation.alpha).reshape(len(scores), -1).sum(axis=0)
+        names = product([effect_name(*effect) for effect in design.effects], TESTS)
+        counts.update(dict(zip(names, hits, strict=True)))
+        if claims is None:
+            continue
+        weights = level_pairs(design, *design.within)[1]
+        difference, se = differences(regress(scores, design), weights)
+        p = 2.0 * special.stdtr(n - 1, -np.abs(difference / se))
+        right = difference * (weights[:, 0] @ population.mean) > 0.0
+        right &= tests[[TESTS[USUAL_TEST]]].to_numpy() < simulation.alpha
+        for test, adjusted in ADJUSTMENTS.items():
+            found = adjusted(p) < simulation.alpha
+            counts["pairs", test] += found[:, claims].all(axis=1).sum()
+            counts["claims", test] += (found & right)[:, claims].all(axis=1).sum()
+    total = pd.Series(counts)
+    low, high = clopper_pearson(total, simulation.replicates, simulation.level)
+    shares = {"power": total / simulation.replicates, "ci_low": low, "ci_high": high}
+    return pd.DataFrame(shares).to_dict("index")
+
+
+def exact_tests(population: Conditions, n: int, alpha: float) -> pd.DataFrame:
+    """
+    Return the effects of a study that has exactly the means and covariance of the population, and
+    the power of F by the noncentral F, which holds under sphericity; elsewhere it is NaN.
+    """
+    k = len(population.labels)
+    # Orthogonal noise: the covariance within a group is the population's.
+    noise = np.tile(np.sqrt(k) * orthonormal_contrasts(k + 1), (population.groups, 1))
+    scores, design = population.study(noise)
+    tests = effects(scores[None], design).reset_index("effect")
+    df1, df2 = tests["df1"], tests["df2"] * (n - 1) / k
+    strength = tests["F"] * df1 * n / (k + 1)
+    critical = special.fdtri(df1, df2, 1.0 - alpha)
+    power = 1.0 - special.ncfdtr(df1, df2, strength, critical)
+    return pd.DataFrame(
+        {
+            "n": n,
+            "effect": tests["effect"],
+            "effect_size": strength / (strength + tests["df2"] * n / k),
+            "correlation": population.correlation,
+            "epsilon": tests["epsilon_gg"],
+            "noncentrality": strength,
+            "closed_form": power.where(tests["epsilon_gg"] > 1.0 - 1e-9),
+        }
+    )
+
+
+def claims_mask(claims: Any, population: Conditions) -> np.ndarray | None:
+    """Return which pairs are claimed, over all pairs a < b; None without claims."""
+    if claims is None:
+        return None
+    given = claims if isinstance(claims, list | tuple) else [claims]
+    claimed = [tuple(pair) for pair in given if isinstance(pair, list | tuple)]
+    pairs = combinations(population.labels, 2)
+    mask = np.array([(a, b) in claimed or (b, a) in claimed for a, b in pairs])
+    if not 0 < len(given) == mask.sum():
+        raise ValueError(
+            f"claims must be different pairs (a, b) of {[*population.labels]}, got {shown(claims)}"
+        )
+    return mask
 
 
 # --- power ----------------------------------------------------------------------------------------
@@ -209,8 +225,6 @@ class PowerAnalysis(Tested):
         The population, before it is varied.
     simulation : Simulation
         Replicates, seed and levels.
-    varied : tuple of str
-        Columns of `table` that take several values; of several factors n and effect.
     tests : pandas.DataFrame
         The power of every F, which `table()` returns: a row per cell, effect and test: n (in each
         group), effect, effect_size (partial η² of the population), correlation, epsilon,
@@ -223,7 +237,6 @@ class PowerAnalysis(Tested):
 
     population: Conditions
     simulation: Simulation
-    varied: tuple[str, ...]
     tests: pd.DataFrame
     together: pd.DataFrame
 
@@ -278,22 +291,22 @@ class PowerAnalysis(Tested):
         tests = [test] if isinstance(test, str) else [*test]
         for name in tests:
             one_of("test", name, TESTS)
-        against, *others = self.varied or ("n",)
         # Values as computed differ in the last bits between the cells of one line.
-        table = self.tests.round(dict.fromkeys(others, 9)).sort_values(against)
+        table = self.tests.round(9)
+        of_effects = len({*table["effect"]}) > 1
+        counts = table[["n", *(["effect"] if of_effects else ["effect_size", "epsilon"])]].nunique()
+        against, *others = [*counts.index[counts > 1]] or ["n"]
+        table = table.sort_values(against, kind="stable")
         axes = axes_or_new(axes, figsize=(6.0, 3.8))
         for values, part in table[table["test"].isin(tests)].groupby([*others, "test"]):
-            label = ", ".join(
-                value if isinstance(value, str) else f"{AXES[axis]} {value + 0.0:.3g}"
-                for axis, value in zip([*others, "test"], values, strict=True)
-            )
             power = part["power"]
             ends = [power - part["ci_low"], part["ci_high"] - power]
-            drawn = axes.errorbar(part[against], power, ends, fmt="o-", capsize=3, label=label)
+            style = {"fmt": "o-", "capsize": 3, "label": ", ".join(map(str, values))}
+            drawn = axes.errorbar(part[against], power, ends, **style)
             axes.plot(part[against], part["closed_form"], "x", ms=8, color=drawn[0].get_color())
         axes.set(xlabel=AXES[against], ylabel="power of F", ylim=(-0.02, 1.02))
         axes.set_title(f"{self.origin}; level {self.simulation.alpha:g}", fontsize="small")
-        axes.legend(fontsize="small")
+        axes.legend(fontsize="small", title=", ".join([*map(AXES.get, others), "test"]))
         return axes
 
 
@@ -362,75 +375,39 @@ def power_analysis(
     """
     of_class("simulation", simulation, Simulation)
     population = population_of(mean, covariance, data, columns)
-    several = len(factors_of(columns)) > 1
-    axes: dict[str, Any] = {"effect_size": effect_size, "epsilon": epsilon}
-    for name, value in (axes | {"claims": claims}).items():
-        if several and value is not None:
-            raise ValueError(f"{name} has no effect here; leave it out")
+    options = (effect_size, epsilon, claims)
+    if len(factors_of(columns)) > 1 and any(option is not None for option in options):
+        raise ValueError("effect_size, epsilon and claims are for one factor; leave them out")
     mask = claims_mask(claims, population)
     # None, a text or a dict are one value, which is refused where it is used.
-    grid = {
-        name: list(value) if np.ndim(value) else [value] for name, value in {"n": n, **axes}.items()
-    }
+    grid: Any = [value if np.ndim(value) else [value] for value in (n, effect_size, epsilon)]
     rows, together = [], []
-    for size, eta2, eps in product(*grid.values()):
+    for size, eta2, eps in product(*grid):
         size = whole_number("n", size, least=3, most=MOST_N)
         people = population if eps is None else population.with_epsilon(eps)
         people = people if eta2 is None else people.with_effect(eta2)
-        tests, pairs = findings(people, size, simulation, mask)
-        rows += _tests_of(people, size, tests, simulation)
+        shares = simulated(people, size, simulation, mask)
+        for where in exact_tests(people, size, simulation.alpha).to_dict("records"):
+            closed = {"none": where.pop("closed_form")}
+            for test in TESTS:
+                row = where | {"test": test} | shares[where["effect"], test]
+                row["replicates"] = simulation.replicates
+                rows.append(row | {"closed_form": closed.get(test, np.nan)})
         if mask is not None:
-            where = {name: rows[-1][name] for name in grid}
+            where = {name: where[name] for name in ("n", "effect_size", "epsilon")}
             together += [
-                where | {"adjust": name, "claims": int(mask.sum())} | _share(int(count), simulation)
-                for name, count in pairs["claims"].items()
+                where | {"adjust": test, "claims": len(claims)} | shares["claims", test]
+                for test in ADJUSTMENTS
             ]
     if not rows:
         raise ValueError("n, effect_size or epsilon is empty: give a number")
-    varied = [name for name, values in grid.items() if len(values) > 1]
     origin = population.simulated_origin
     return PowerAnalysis(
         population,
         simulation,
-        ("n", "effect") if several else tuple(varied),
         labelled(pd.DataFrame(rows), origin),
         labelled(pd.DataFrame(together), origin),
     )
-
-
-def _tests_of(
-    population: Conditions, n: int, tests: pd.DataFrame, simulation: Simulation
-) -> list[dict]:
-    """Return the rows of every F, by effect and test; closed forms need sphericity."""
-    groups, design = population.design(n)
-    regression = regress(np.atleast_2d(population.mean)[groups][None], design)
-    table = []
-    for block, names in design.effects:
-        contrasts, columns = design.contrasts(names), design.columns[block]
-        d, variances = contrasts.shape[1], contrasts.T @ population.covariance @ contrasts
-        squares = float(regression.sum_of_squares(contrasts, columns)[0])
-        strength = squares * d / np.trace(variances)
-        epsilon = float(sphericity(variances, design.df_error)["epsilon_gg"])
-        df1, df2 = d * len(columns), d * design.df_error
-        critical = special.fdtri(df1, df2, 1.0 - simulation.alpha)
-        closed = 1.0 - special.ncfdtr(df1, df2, strength, critical)
-        effect = effect_name(block, names)
-        where = {
-            "n": n,
-            "effect": effect,
-            "effect_size": strength / (strength + len(groups) * d),
-            "correlation": population.correlation,
-            "epsilon": epsilon,
-            "noncentrality": strength,
-        }
-        for test in TESTS:
-            power = _share(int(tests.loc[effect, test]), simulation)
-            spherical = epsilon > 1.0 - 1e-9 and test == "none"
-            last = {"closed_form": closed if spherical else np.nan}
-            table.append(
-                where | {"test": test} | power | {"replicates": simulation.replicates} | last
-            )
-    return table
 
 
 # --- the smallest n -------------------------------------------------------------------------------
@@ -472,9 +449,9 @@ class SmallestN(Tested):
         source = f" The covariance is that of {people.origin}." if people.origin else ""
         return (
             f"A sample of {self.n} participants ({self.whole_squares} to fill whole Latin squares) "
-            f"has a power of {apa_number(self.power, below_one=True)} "
-            f"({100 * simulation.level:g}% CI [{apa_number(self.ci_low, below_one=True)}, "
-            f"{apa_number(self.ci_high, below_one=True)}]) in {simulation.replicates} simulated "
+            f"has a power of {share(self.power)} "
+            f"({100 * simulation.level:g}% CI [{share(self.ci_low)}, "
+            f"{share(self.ci_high)}]) in {simulation.replicates} simulated "
             f"studies (seed {simulation.seed}), for the test {self.test} at α = "
             f"{simulation.alpha:g}. Assumed means (SDs) are {conditions}, with a mean correlation "
             f"of {apa_number(people.correlation)} between conditions.{source} Standard deviations "
@@ -552,29 +529,27 @@ def smallest_n(
     mask = None if pair is None else claims_mask([pair], population)
     usual, tests = (USUAL_TEST, TESTS) if pair is None else ("holm", ADJUSTMENTS)
     test = one_of("test", usual if test is None else test, tests)
-    name = "F" if pair is None else f"{pair[0]} – {pair[1]}"
-    counts: dict[int, int] = {}
+    effect, name = "condition", "F"
+    if pair is not None:
+        effect, name = "pairs", f"{pair[0]} – {pair[1]}"
 
-    def enough(n: int) -> bool:
-        hits, pairs = findings(population, n, simulation, mask)
-        counts[n] = int(hits.iloc[0][test] if mask is None else pairs.loc[test, "pairs"])
-        return counts[n] >= target * simulation.replicates
+    @cache
+    def found(n: int) -> dict[str, float]:
+        return simulated(population, n, simulation, mask)[effect, test]
 
     low, high = 2, 3
-    while not enough(high):
+    while found(high)["power"] < target:
         if high == most:
             raise ValueError(
-                f"power: {most} subjects reach {counts[most] / simulation.replicates:.3g} only, "
+                f"power: {most} subjects reach {found(most)['power']:.3g} only, "
                 f"{target:g} was wanted. Raise most=, measure each condition more often, which "
                 "makes people differ less, or look for a greater effect"
             )
         low, high = high, min(2 * high, most)
     while high - low > 1:
         n = (low + high) // 2
-        low, high = (low, n) if enough(n) else (n, high)
-    row = {"test": f"{name}, {test}", "wanted": target, "n": high} | _share(
-        counts[high], simulation
-    )
+        low, high = (low, n) if found(n)["power"] >= target else (n, high)
+    row = {"test": f"{name}, {test}", "wanted": target, "n": high, **found(high)}
     row["whole_squares"] = participants_needed(len(population.labels), high)
     table = labelled(pd.DataFrame([row]), population.simulated_origin)
     return SmallestN(table, population, simulation)

@@ -1,8 +1,9 @@
 """Questionnaires as data, the scores of their answers, and how reliable these are."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -222,10 +223,10 @@ class ScaleScores(Result):
         """
         rows = []
         for name, coded in self.coded.items():
-            condition = coded.index.to_frame().get("condition", pd.Series(np.nan, coded.index))
-            for label, group in coded.groupby(condition, sort=False, dropna=False):
-                alpha = _alpha(group)
-                rows.append({"score": name, "condition": label} | alpha)
+            several = coded.index.nlevels > 1
+            groups: Any = coded.groupby(level=1, sort=False) if several else [(np.nan, coded)]
+            for label, group in groups:
+                rows.append({"score": name, "condition": label} | _alpha(group))
         return pd.DataFrame(rows).query("items > 1").reset_index(drop=True)
 
 
@@ -265,7 +266,7 @@ def score(
     ------
     ValueError
         Naming the item, and its row or subject, of an answer that is missing, not a number or not
-        on the scale, or whose weights cannot come from pairwise choices.
+        on the scale, or whose weights are not whole numbers from 0 to 5 with the sum 15.
 
     References
     ----------
@@ -285,17 +286,18 @@ def score(
     of_class("questionnaire", questionnaire, Questionnaire)
     table = _read("answers", answers, questionnaire.items, subject, condition)
     low, high, step = questionnaire.low, questionnaire.high, questionnaire.step
-    off = (table < low) | (table > high)
+    on = (table >= low) & (table <= high)
     if step is not None:
-        off |= ((table - low) / step % 1.0).sub(0.5).abs() < 0.5 - 1e-9
-    for i, j in np.argwhere(off.to_numpy()):
+        on &= ((table - low) / step % 1.0).sub(0.5).abs() > 0.5 - 1e-9
+    for i, j in np.argwhere(~on.to_numpy()):
         raise ValueError(
             f"answers: {table.columns[j]} of {table.index[i]} is {table.iloc[i, j]:g}, not on the "
-            f"scale from {low:g} to {high:g} in steps of {step}; if the form had another scale, "
-            "score by dataclasses.replace(questionnaire, low=…, high=…, step=…)"
+            f"scale from {low:g} to {high:g} in steps of {step}; fill in from the records what is "
+            "missing (nan), or leave the subject out; if the form had another scale, score by "
+            "dataclasses.replace(questionnaire, low=…, high=…, step=…)"
         )
     coded = _coded(questionnaire, table)
-    scores = {score_name: part.mean(axis=1) for score_name, part in coded.items()}
+    scores = {score_name: items.mean(axis=1) for score_name, items in coded.items()}
     name, whole = questionnaire.name, next(iter(coded.values()))
     if not questionnaire.task_load:
         scores[f"{name}_sum"] = whole.sum(axis=1)
@@ -304,10 +306,8 @@ def score(
             raise ValueError(f"weights: the items of {name!r} are not weighted")
         w = _weights(weights, whole, subject)
         scores[f"{name}_weighted"] = (w * whole).sum(axis=1) / w.sum(axis=1)
-    names = {"subject": subject, "condition": condition}
-    result = pd.DataFrame(scores).reset_index().rename(columns=names)
-    result.attrs = dict(answers.attrs)  # synthetic answers give synthetic scores
-    return ScaleScores(questionnaire, labelled(result, origin_of(answers)), coded)
+    result = labelled(pd.DataFrame(scores).reset_index(), origin_of(answers))
+    return ScaleScores(questionnaire, result, coded)
 
 
 def _read(
@@ -316,22 +316,19 @@ def _read(
     """Return a column of numbers per item; subject and condition are the index."""
     of_class(argument, frame, pd.DataFrame)
     keys = {"subject": subject} | ({} if condition is None else {"condition": condition})
-    for key, name in keys.items():
-        label_column(frame, key, name)
-    index = pd.MultiIndex.from_arrays([frame[name] for name in keys.values()], names=keys)
+    index = pd.MultiIndex.from_arrays([label_column(frame, *key) for key in keys.items()])
     if frame.empty or index.has_duplicates:
         raise ValueError(
             f"{argument} must have one row per subject, or per subject and condition= if there are "
             f"several; it has {len(frame)} rows, repeated: {[*index[index.duplicated()]][:5]}"
         )
+    return _numbers(argument, frame, items).set_axis(index)
+
+
+def _numbers(argument: str, frame: pd.DataFrame, items: Iterable[Hashable]) -> pd.DataFrame:
+    """Return the columns of items as floats, NaN where they have nothing."""
     columns = {item: numbers_of(column_of(frame, argument, item), argument) for item in items}
-    table = pd.DataFrame(columns, index)
-    for i, j in np.argwhere(table.isna().to_numpy()):
-        raise ValueError(
-            f"{argument}: {table.columns[j]} of {index[i]} is missing; fill it in from the "
-            "records, or leave the subject out"
-        )
-    return table
+    return pd.DataFrame(columns)
 
 
 def _coded(questionnaire: Questionnaire, answers: pd.DataFrame) -> dict[str, pd.DataFrame]:
@@ -349,17 +346,15 @@ def _coded(questionnaire: Questionnaire, answers: pd.DataFrame) -> dict[str, pd.
 def _weights(weights: pd.DataFrame, answers: pd.DataFrame, subject: str) -> pd.DataFrame:
     """Return a weight per item for every row of the answers."""
     w = _read("weights", weights, answers.columns, subject, None)
-    w.index, people = (table.index.get_level_values("subject") for table in (w, answers))
-    for label in people.difference(w.index):
-        raise ValueError(f"weights: there are none for subject {label!r}")
-    # Landau (1953): of six items, the j chosen least meet each other j(j − 1)/2 times.
-    least, wins = np.cumsum(range(6)), np.sort(w).cumsum(axis=1)
-    bad = (wins < least).any(axis=1) | (wins[:, -1] != 15.0) | (w % 1.0 != 0.0).any(axis=1)
-    for label in w.index[bad]:
+    w.index, people = (table.index.get_level_values(0) for table in (w, answers))
+    w = w.reindex(people).set_axis(answers.index)
+    possible = w.isin(range(6)).all(axis=1) & (w.sum(axis=1) == 15.0)
+    for row in w.index[~possible]:
         raise ValueError(
-            f"weights: {w.loc[label].tolist()} of {label!r} are not those of fifteen choices"
+            f"weights: {w.loc[row].tolist()} of {row} are not six whole numbers from 0 to 5, with "
+            "the sum 15 (nan where there are none)"
         )
-    return w.loc[people].set_axis(answers.index)
+    return w
 
 
 def tlx_weights(
@@ -405,8 +400,9 @@ def tlx_weights(
                 f"chosen: subject {label!r} must have one row for each pair of {items}, with one "
                 f"of the two; it has {len(part)} rows, and none such for {wrong}"
             )
-        rows.append([label, *(int((part[chosen] == item).sum()) for item in items)])
-    return pd.DataFrame(rows, columns=[subject, *items])
+        wins = part[chosen].value_counts().reindex(items, fill_value=0)
+        rows.append({subject: label, **wins})
+    return pd.DataFrame(rows)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -469,10 +465,7 @@ def cronbach_alpha(items: pd.DataFrame) -> Reliability:
     0.946
     """
     of_class("items", items, pd.DataFrame, "give a column per item")
-    if items.columns.has_duplicates:
-        twice = items.columns[items.columns.duplicated()][0]
-        raise ValueError(f"items has two columns called {twice!r}; rename or remove one")
-    items = pd.DataFrame({name: numbers_of(column, "items") for name, column in items.items()})
+    items = _numbers("items", items, items)
     row = _alpha(items)
     if np.isnan(row["alpha"]):
         raise ValueError(

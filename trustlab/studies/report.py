@@ -16,16 +16,16 @@ from trustlab.models.checks import of_class, one_of, shown
 from trustlab.models.display import Result
 from trustlab.models.extras import extra
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
-from trustlab.studies.words import apa_number, apa_table, in_words
+from trustlab.studies.words import apa_number, in_words, printed
 
-# What LaTeX has no letter for.
-_LATEX = {"−": "$-$", "×": r"$\times$", "ηp²": r"$\eta_p^2$", "ηG²": r"$\eta_G^2$", "²": "$^2$"}
-_LATEX |= {"±": r"$\pm$", "≥": r"$\geq$", "η": r"$\eta$", "ε": r"$\varepsilon$", "χ": r"$\chi$"}
-_LATEX |= {"τ": r"$\tau$", "β": r"$\beta$", "<": "$<$", ">": "$>$", "–": "--", r"d\_z": "$d_z$"}
+# What LaTeX has no letter for, or would misread; longer signs first.
+_LATEX = {"ηp²": r"$\eta_p^2$", "ηG²": r"$\eta_G^2$", "d_z": "$d_z$", "²": "$^2$", "−": "$-$"}
+_LATEX |= {"±": r"$\pm$", "≥": r"$\geq$", "×": r"$\times$", "η": r"$\eta$", "χ": r"$\chi$"}
+_LATEX |= {"ε": r"$\varepsilon$", "τ": r"$\tau$", "β": r"$\beta$", "–": "--"}
+_LATEX |= {"<": "$<$", ">": "$>$", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+_LATEX |= {"\\": r"\textbackslash "} | {sign: f"\\{sign}" for sign in "&%$#_{}"}
 # Columns beyond which the one row of a result is printed as a column.
 _WIDE = 8
-# What is printed instead of a parameter that tells how fast a model forgets.
-_TIMES = {"a": "time constant [s]", "human_a": "human τ [s]", "robot_a": "robot τ [s]"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,7 +59,7 @@ class StudyReport(Result):
 
     def table(self) -> pd.DataFrame:
         """Return what `result.table()` does, or the table itself."""
-        return self.result if isinstance(self.result, pd.DataFrame) else self.result.table()
+        return _table_of(self.result)
 
     def write(self, path: str | os.PathLike) -> Path:
         """
@@ -79,7 +79,7 @@ class StudyReport(Result):
         Raises
         ------
         ValueError
-            If the ending is another one, or a word holds a control character.
+            If the ending is another one.
         """
         path = Path(path)
         kind = one_of(f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex"))
@@ -87,17 +87,9 @@ class StudyReport(Result):
             title if self.origin in title else f"{title} [{self.origin}]": printed(table)
             for title, table in self.tables.items()
         }
-        words = "\n".join([self.message, *tables, *(table.to_csv() for table in tables.values())])
-        if control := re.search(r".*[\x00-\x08\x0b-\x1f\x7f-\x9f]", words):
-            raise ValueError(
-                f"{control.group()[-60:]!r} holds a control character, which no document can show; "
-                "rename the level or column in the data"
-            )
-        if kind == ".html":
-            drawing = _drawn(self.result) if isinstance(self.result, RepeatedMeasures) else ""
-            document = _html(self.message, tables) + drawing
-        else:
-            document = _latex(self.message, tables)
+        document = (_html if kind == ".html" else _latex)(self.message, tables)
+        if kind == ".html" and isinstance(self.result, RepeatedMeasures):
+            document += _drawn(self.result)
         path.write_text(document, encoding="utf-8")
         return path
 
@@ -149,29 +141,33 @@ def report(
     result = frame if dv is None else repeated_measures(frame, dv, within, subject, **options)
     if isinstance(result, RepeatedMeasures):
         return StudyReport(result, result.message, _section(result), result.origin)
-    if not hasattr(result, "table") and not isinstance(result, pd.DataFrame):
+    table = _table_of(result)
+    origin, title = _origin(result, table), getattr(result, "title", "Results")
+    if len(table) == 1 and table.shape[1] > _WIDE:
+        table = printed(table).T.reset_index().set_axis(["statistic", "value"], axis=1)
+    return StudyReport(result, _sentences(result), {title: table}, origin)
+
+
+def _table_of(result: Any) -> pd.DataFrame:
+    if isinstance(result, pd.DataFrame):
+        return result
+    if not hasattr(result, "table"):
         raise ValueError(
             "frame must be a table with dv=, within=, subject=, or a result, got "
-            f"{type(frame).__name__}"
+            f"{type(result).__name__}"
         )
-    table = result if isinstance(result, pd.DataFrame) else result.table()
-    named = _with_names(table)
-    if len(named) == 1 and named.shape[1] > _WIDE:
-        named = printed(named).T.reset_index().set_axis(["statistic", "value"], axis=1)
-    title = getattr(result, "title", "Results")
-    return StudyReport(result, _sentences(result), {title: named}, _origin(result, table))
+    return result.table()
 
 
 def _section(result: RepeatedMeasures) -> dict[str, pd.DataFrame]:
     """Return the tables of an analysis of variance; levels that are numbers stay as they are."""
     factors = [*result.within, *result.between]
-    labels = ["condition"] if result.one_way else factors
+    labels = ["condition"] if result.one_way else [*result.between, *result.within]
     stats, tests = result.descriptives(), result.table()
-    wanted = {*labels, "n", "mean", "sd", "ci_low", "ci_high"}
     heads = ["effect", "F", "df1_corrected", "df2_corrected", "p_corrected", "eta2_partial"]
     heads += ["eta2_partial_low", "eta2_partial_high", "eta2_generalized", "correction"]
     tables = {
-        "Descriptive statistics": stats[[name for name in stats if name in wanted]],
+        "Descriptive statistics": stats[[*labels, "n", "mean", "sd", "ci_low", "ci_high"]],
         "Analysis of variance": tests[heads],
     }
     for factor in factors:
@@ -197,28 +193,28 @@ def _side_by_side(
     title, table = "Results", whole
     if {"value", "stderr"} <= set(whole):
         title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
-        rows = []
-        for name, fit in results.items():
-            texts = printed(_estimates(fit)).replace({"standard error": {"": "–"}})
-            cells = texts["value"] + " ± " + texts["standard error"]
-            row = {"of": f"{name}{'' if fit.success else ' (the fit failed)'}"}
-            row |= dict(zip(texts["parameter"], cells, strict=True))
-            rows.append(row | (_chosen(thresholds[name]) if thresholds else {}))
+        rows = [
+            {"of": f"{name}{'' if fit.success else ' (the fit failed)'}"}
+            | _estimates(fit)
+            | (_chosen(thresholds[name]) if thresholds else {})
+            for name, fit in results.items()
+        ]
         table = pd.DataFrame(rows).fillna("")
     return StudyReport(whole, text, {title: table}, ", ".join(sorted(origins)))
 
 
-def _estimates(result: Any) -> pd.DataFrame:
-    """Return value and stderr by parameter: time constants for a, nothing derived from others."""
-    rows = result.table()
-    table = rows[rows["status"] != "derived"] if "status" in rows else rows
-    table = table[["value", "stderr"]].rename_axis("parameter")
-    for name, words in _TIMES.items():
-        time = f"{name[:-1]}time_constant"
-        if name in table.index and time in rows.index:
-            table.loc[name] = rows.loc[time, ["value", "stderr"]]
-            table = table.rename(index={name: words})
-    return table
+def _estimates(fit: Any) -> dict[str, str]:
+    """
+    Return estimates with their errors; derived ones are time constants, in the place of what they
+    are derived from.
+    """
+    rows = fit.table()
+    names = rows.index[rows["status"] != "derived"] if "status" in rows else rows.index
+    times = {name: f"{name.removesuffix('a')}time_constant" for name in names}
+    names = [time if time in rows.index else name for name, time in times.items()]
+    texts = printed(rows.loc[names, ["value", "stderr"]]).replace("", "–")
+    cells = texts["value"] + " ± " + texts["standard error"]
+    return dict(zip(map(in_words, names), cells, strict=True))
 
 
 def _chosen(choice: Any) -> dict[str, str]:
@@ -239,26 +235,8 @@ def _sentences(result: Any) -> str:
 
 
 def _origin(result: Any, table: pd.DataFrame) -> str:
-    synthetic = "synthetic data" if getattr(result, "synthetic", False) else ""
-    return getattr(result, "origin", "") or table.attrs.get("origin", "") or synthetic
-
-
-def _with_names(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table whose index, where it has a name, is columns."""
-    return table.reset_index() if table.index.names != [None] else table
-
-
-def printed(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of texts with the roundings and heads of a paper."""
-    named = _with_names(table)
-    texts = apa_table(named.rename(columns=str).rename_axis(columns=None))
-    texts = texts.astype(object).where(texts.notna(), "").map(str).rename(columns=in_words)
-    if "confidence" in named:
-        level = f"{100.0 * named['confidence'].iloc[0]:g}%"
-        texts.columns = texts.columns.str.replace("95%", level)
-    for name in texts.columns.intersection(["parameter", "correction"]):
-        texts[name] = texts[name].map(in_words)
-    return texts
+    origin = getattr(result, "origin", "") or table.attrs.get("origin", "")
+    return origin or ("synthetic data" if getattr(result, "synthetic", False) else "")
 
 
 def _drawn(result: RepeatedMeasures) -> str:
@@ -269,7 +247,8 @@ def _drawn(result: RepeatedMeasures) -> str:
     figure = result.plot().figure
     figure.savefig(drawing, format="svg")
     plt.close(figure)
-    return drawing.getvalue()[drawing.getvalue().index("<svg") :]
+    # Without the declarations of a file.
+    return "".join(drawing.getvalue().partition("<svg")[1:])
 
 
 def _html(text: str, tables: dict[str, pd.DataFrame]) -> str:
@@ -291,10 +270,5 @@ def _latex(text: str, tables: dict[str, pd.DataFrame]) -> str:
 
 
 def _in_latex(text: str) -> str:
-    """Return words for LaTeX: signs that it would misread, and those that it lacks."""
-    words = text.replace("\\", r"\textbackslash ")
-    words = re.sub(r"([&%$#_{}])", r"\\\1", words)
-    words = words.replace("~", r"\textasciitilde{}").replace("^", r"\textasciicircum{}")
-    for sign, symbol in _LATEX.items():
-        words = words.replace(sign, symbol)
-    return words
+    """Return words for LaTeX."""
+    return re.sub("|".join(map(re.escape, _LATEX)), lambda sign: _LATEX[sign[0]], text)

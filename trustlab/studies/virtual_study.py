@@ -3,7 +3,6 @@ A whole study with simulated operators, from its design to its statistics, and i
 like a lab's.
 """
 
-import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
@@ -18,10 +17,11 @@ from numpy.random import SeedSequence
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import counted, one_of, shown, warn, whole_number
 from trustlab.models.display import Result, axes_or_new
+from trustlab.models.files import path_of
 from trustlab.sessions.writing import write_session
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
-from trustlab.studies.table import labelled, labels_of
+from trustlab.studies.table import labelled
 from trustlab.studies.words import listed
 from trustlab.testbeds.deciding import warn_if_too_short
 from trustlab.testbeds.testbed import ConditionTestbed, Testbed, named_testbed
@@ -152,7 +152,7 @@ class VirtualStudy(Result):
         rows = []
         for name in self.names:
             complete = self.measures[name].notna().groupby(self.measures["condition"]).all()
-            measured = [condition for condition in self.conditions if complete[condition]]
+            measured = complete.index[complete]
             row = {"measure": name, "conditions": " ".join(measured), "correction": "", "note": ""}
             if lacking := ", ".join(complete.index[~complete]):
                 row["note"] = f"without {lacking}, which do not have it for everyone"
@@ -208,7 +208,6 @@ class VirtualStudy(Result):
 
 
 def virtual_study(
-    design: str | LatinSquareDesign = "latin_square",
     n: int | None = None,
     conditions: Sequence[Any] | None = None,
     seed: int = 0,
@@ -229,12 +228,10 @@ def virtual_study(
 
     Parameters
     ----------
-    design : "latin_square" or LatinSquareDesign
-        Orders of conditions: a complete balanced Latin square drawn from the seed, or a design with
-        its conditions and participants (numbered from 1), in the place of `n` and `conditions`.
     n : int, optional
-        Participants; where they do not fill whole squares, a warning says how many would. As many
-        as the dissertation's study invited, or the next whole squares.
+        Participants, whose orders are those of a `latin_square_design` with this seed; where they
+        do not fill whole squares, a warning says how many would. By default as many as the
+        dissertation's study invited, or the next whole squares.
     conditions : sequence of str, (str, callable) or LeaderPolicy, optional
         C1 to C5 and the controls "own" and "random" of `run_condition` (ground robot, or a UAV that
         follows a leader), or M, MI, MMI, TMIG, TMIS, OMI (teleoperation of a UAV); those of the
@@ -289,21 +286,20 @@ def virtual_study(
     (13, 3)
     """
     seed = whole_number("seed", seed, least=0)
-    bed, conditions, rules = _fitting(testbed, conditions, design, laps)
-    design = _designed(design, n, conditions, seed, bed.printed_n)
-    people = bed.people(len(design.participants), assumptions, seed)
-    for name in rules:  # a rule is refused before anybody runs
-        bed.rule_of(name, people.iloc[0].to_dict())
+    bed, names = _fitting(testbed, conditions, laps)
+    usual = participants_needed(len(names), bed.printed_n)
+    n = whole_number("n", usual if n is None else n, least=max(3, len(names)))
+    design = latin_square_design(names, n, seed=seed, whole_squares=False)
+    people = bed.people(n, assumptions, seed)
     folder = None if out is None else _study_folder(out)
-    sessions = None if folder is None else str(folder / "sessions")
-    fixed = {"testbed": bed, "folder": sessions}
-    orders = [json.dumps(order) for order in design.table().to_numpy().tolist()]
+    fixed = {"testbed": bed, "folder": folder and str(folder / "sessions")}
+    orders = ["/".join(order) for order in design.table().to_numpy()]
     done = run_campaign(
         run_participant,
         [fixed | person for person in people.assign(order=orders).to_dict("records")],
         seed=seed,
         n_jobs=n_jobs,
-        out=None if folder is None else folder / "campaign",
+        out=folder and folder / "campaign",
         progress=progress,
     )
     failed = done["failed"].to_numpy(dtype=bool)
@@ -311,13 +307,13 @@ def virtual_study(
         raise ValueError(f"every participant's run failed; the first: {done['error'].iloc[0]}")
     settings = {"seed": seed} | bed.settings
     if assumptions:
-        settings["assumptions"] = {name: float(value) for name, value in assumptions.items()}
+        settings["assumptions"] = dict(assumptions)
     study = VirtualStudy(
         testbed=bed,
-        conditions=conditions,
+        conditions=names,
         design=design,
         participants=people,
-        measures=_tidy(done[~failed], design, conditions),
+        measures=_tidy(done[~failed], design, names),
         failures=done.loc[failed, ["participant", "error"]].reset_index(drop=True),
         settings=settings,
         folder=folder,
@@ -331,62 +327,30 @@ def virtual_study(
     return study
 
 
-def _fitting(
-    testbed: Any, conditions: Any, design: object, laps: int | None
-) -> tuple[Any, tuple[str, ...], dict[str, Callable]]:
-    """Return the testbed with rules of the user's own, the conditions that it runs, those rules."""
-    if isinstance(design, LatinSquareDesign):
-        if conditions is not None:
-            raise ValueError("conditions has no effect beside a design; leave it out")
-        conditions = design.conditions
-    else:
-        one_of("design", design, ["latin_square"], "a LatinSquareDesign")
-    if not isinstance(conditions, list | tuple | None):
+def _fitting(testbed: Any, conditions: Any, laps: int | None) -> tuple[Any, tuple[str, ...]]:
+    """Return the testbed with rules of the user's own, and the conditions that it runs."""
+    bed = named_testbed(testbed, laps)
+    conditions = bed.printed_conditions if conditions is None else conditions
+    if not isinstance(conditions, list | tuple):
         raise ValueError(f"conditions must be a list of names, got {shown(conditions)}")
-    # A leader policy has its name with it.
-    named = [
-        (item.title, partial(copy, item)) if hasattr(item, "leader") else item
-        for item in conditions or ()
-    ]
-    rules = dict(item for item in named if isinstance(item, tuple))
-    names = tuple(item[0] if isinstance(item, tuple) else item for item in named)
+    rules: dict[str, Callable] = {}
+    names = []
+    for condition in conditions:
+        name, make = condition if isinstance(condition, tuple) else (condition, None)
+        if hasattr(condition, "leader"):  # a policy has its name with it
+            name, make = condition.title, partial(copy, condition)
+        if make is not None:
+            rules[name] = make
+        names.append(name)
     if any("/" in str(name) for name in rules):  # it becomes part of file names
         raise ValueError(f"conditions: the name of a rule must be text without /, got {[*rules]}")
-    bed = named_testbed(testbed, laps)
     if rules:
         if not getattr(bed, "takes_rules", False):
             raise ValueError(f"on {bed.title} no rule decides; conditions are names alone")
         bed = replace(bed, rules={**bed.rules, **rules})
     for name in names:
         one_of(f"a condition on {bed.title}", name, bed.conditions)
-    return bed, bed.printed_conditions if conditions is None else names, rules
-
-
-def _designed(
-    design: Any, n: int | None, conditions: tuple[str, ...], seed: int, printed_n: int
-) -> LatinSquareDesign:
-    """Return a design whose participants are numbered and enough for repeated measures."""
-    if isinstance(design, LatinSquareDesign):
-        if n is not None or design.participants != tuple(range(1, len(design.participants) + 1)):
-            raise ValueError(
-                "design: its participants are those of the study, numbered: leave n out, and make "
-                "the design with their number"
-            )
-        return design
-    k = len(labels_of("conditions", conditions, 2))
-    n = participants_needed(k, printed_n) if n is None else whole_number("n", n, least=max(3, k))
-    if n % participants_needed(k) != k or k % 2 == 0:
-        return latin_square_design(conditions, n, seed=seed, whole_squares=False)
-    # The first k orders of a square for odd k are a Latin square by themselves: every condition
-    # once at every position.
-    whole = latin_square_design(conditions, n + k, seed=seed)
-    half = tuple(row for row in whole.rows[n - k :] if row <= k)
-    warn(
-        f"{n} participants fill half of the last square: each of the {k} conditions stands "
-        "equally often at every position, but does not follow every other one equally often; "
-        f"{n + k} participants would balance both"
-    )
-    return replace(whole, participants=tuple(range(1, n + 1)), rows=whole.rows[: n - k] + half)
+    return bed, tuple(names)
 
 
 def _tidy(
@@ -394,22 +358,18 @@ def _tidy(
 ) -> pd.DataFrame:
     """Return a row per session from a row per participant."""
     wide = done.set_index(done["participant"].astype(int)).filter(like="/").astype(float)
-    wide.columns = wide.columns.str.split("/", n=1, expand=True)
+    wide.columns = wide.columns.str.split("/", n=1, expand=True).set_names(["condition", None])
     # Melting would lose the second level.
     long = wide.stack(0, future_stack=True)  # noqa: PD013
-    long = long.rename_axis(["participant", "condition"])
-    frame = design.orders().merge(long.reset_index(), validate="one_to_one")
+    frame = design.orders().merge(long.reset_index())
     frame["condition"] = pd.Categorical(frame["condition"], conditions)
-    frame = frame.assign(synthetic=True)[[*KEYS, *long]]
-    return labelled(frame.sort_values(["participant", "position"], ignore_index=True), ORIGIN)
+    return labelled(frame.assign(synthetic=True)[[*KEYS, *long]], ORIGIN)
 
 
 def _study_folder(out: str | os.PathLike) -> Path:
     """Return a folder for a study: an empty one, or one with a campaign that may go on."""
-    if not isinstance(out, str | os.PathLike):
-        raise ValueError(f"out must be the path of a folder, got {shown(out)}")
-    folder = Path(out)
-    begun = (folder / "campaign" / "campaign.json").is_file()
+    folder = path_of("out", out)
+    begun = (folder / "campaign").exists()
     if not begun and any(path.is_file() for path in folder.rglob("*")):
         raise ValueError(
             f"out: {folder} holds files that are not known to be of this study; give a new or "
@@ -420,32 +380,15 @@ def _study_folder(out: str | os.PathLike) -> Path:
 
 
 def _finish(folder: Path, study: VirtualStudy) -> None:
-    """Check that every session is there, and write the tables beside them."""
-    orders = study.design.orders()
-    rows = orders[~orders["participant"].isin(study.failures["participant"])]
-    names = [session_file(*row) for row in rows.itertuples(index=False)]
-    missing = [name for name in names if not (folder / "sessions" / name).is_file()]
-    if missing:
-        raise ValueError(
-            f"out: {len(missing)} of {len(names)} sessions are missing from {folder / 'sessions'} "
-            f"({missing[0]} first), although the campaign beside it says that they were run; "
-            "remove the folder and run the study again"
-        )
+    """Write the tables beside the sessions."""
     about = (
         f"SIMULATED. {study.title}: {study.message}\nOne file per session in sessions/: "
         "trustlab.read_sessions reads them.\n"
     )
     study.participants.to_csv(folder / "participants.csv", index=False)
-    orders.to_csv(folder / "orders.csv", index=False)
+    study.design.orders().to_csv(folder / "orders.csv", index=False)
     study.measures.to_csv(folder / "measures.csv", index=False)
     (folder / "about.txt").write_text(about, encoding="utf-8")
-
-
-def session_file(participant: int, position: int, condition: str) -> str:
-    """
-    Return the name of the file that holds one session; participants and positions count from 1.
-    """
-    return f"participant_{participant:05d}_trial_{position}_{condition}.parquet"
 
 
 def run_participant(
@@ -460,9 +403,9 @@ def run_participant(
     Run all conditions for one simulated operator, and return measures as "condition/measure": a
     task of `run_campaign`.
 
-    `order` is a list of the conditions in JSON; `numbers` are a row of the testbed's people.
+    `order` has the conditions, with / between them; `numbers` are a row of the testbed's people.
     """
-    conditions = json.loads(order)
+    conditions = order.split("/")
     # Each condition has a seed by its place in the alphabet, so that the order has no effect on its
     # noise.
     streams = dict(zip(sorted(conditions), seed.spawn(len(conditions)), strict=True))
@@ -472,7 +415,8 @@ def run_participant(
         run = testbed.run(condition, person, streams[condition])
         if folder is not None:
             session = run.session.with_metadata(trial=position, testbed=testbed.name)
-            write_session(session, Path(folder) / session_file(participant, position, condition))
+            file = f"participant_{participant:05d}_trial_{position}_{condition}.parquet"
+            write_session(session, Path(folder) / file)
         measures |= {f"{condition}/{name}": float(x) for name, x in run.measures.items()}
         person = testbed.next_session(person, run)
     return measures

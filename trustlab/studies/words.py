@@ -1,7 +1,7 @@
-"""Numbers, heads and sentences of a results section, as the APA manual requires."""
+"""Numbers, tables and sentences of a results section, as the APA manual requires."""
 
 from collections.abc import Iterable
-from decimal import ROUND_HALF_UP, Context, Decimal
+from decimal import ROUND_HALF_UP, Decimal, localcontext
 from typing import Any
 
 import numpy as np
@@ -43,10 +43,15 @@ _HEADS = {
     "huynh-feldt": "Huynh–Feldt",
     "human_beta": "human β",
     "robot_beta": "robot β",
+    "time_constant": "time constant [s]",
+    "human_time_constant": "human τ [s]",
+    "robot_time_constant": "robot τ [s]",
 } | {name: name for name in ("d_z", "TSC_l", "TSC_u")}
 # Columns in the unit of what was measured: as many decimals as show their error.
 _ESTIMATES = {"value", "estimate", "mean", "mean_difference", "stderr", "se", "sd"}
 _ESTIMATES |= {"ci_low", "ci_high"}
+# Columns of levels, which are not rounded where they are numbers.
+_LEVELS = ["a", "b", "level", "condition"]
 
 
 def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str:
@@ -67,14 +72,9 @@ def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str
     """
     if not np.isfinite(value):
         return str(value)
-    step = Decimal(1).scaleb(-digits)
-    rounded = Decimal(f"{abs(value):.12g}").quantize(
-        step, rounding=ROUND_HALF_UP, context=Context(prec=400)
-    )
-    text = f"{rounded:f}"
-    if below_one:
-        text = text.removeprefix("0")
-    return f"−{text}" if value < 0.0 and rounded != 0 else text
+    with localcontext(prec=400, rounding=ROUND_HALF_UP):
+        text = f"{Decimal(f'{value:.12g}'):z.{digits}f}".replace("-", "−")
+    return text.replace("0.", ".", 1) if below_one else text
 
 
 def apa_p(p: float) -> str:
@@ -91,51 +91,60 @@ def apa_p(p: float) -> str:
     return "p > .999" if p >= 0.9995 else f"p = {apa_number(p, 3, below_one=True)}"
 
 
-def apa_table(frame: pd.DataFrame) -> pd.DataFrame:
+def printed(table: pd.DataFrame) -> pd.DataFrame:
     """
-    Return a table for reading: numbers rounded, p-values as a paper prints them, NaN as empty text.
+    Return a table of texts with the heads and roundings of a paper; NaN is an empty text.
+
+    Columns p, ``p_…`` and ``mauchly_p…`` hold p-values. Estimates have as many decimals, at least
+    two, as show two digits of their standard error, or else of the interval's half width or the
+    standard deviation; other numbers as many as show two digits of a typical one.
 
     Parameters
     ----------
-    frame : pandas.DataFrame
-        Results; columns p, ``p_…`` and ``mauchly_p…`` hold p-values. What is no column of floats,
-        and levels (a, b, level, condition), stay as they are.
-        Estimates have as many decimals, at least two, as show two digits of their standard error,
-        or else of the interval's half width or the standard deviation; other columns as many as
-        show two digits of a typical number.
+    table : pandas.DataFrame
+        Results; an index with a name is printed, too.
     """
-    table = frame.copy()
-    levels = ["a", "b", "level", "condition"]
-    for name in frame.select_dtypes("float").drop(columns=levels, errors="ignore"):
-        values = frame[name].to_numpy()
-        if str(name).startswith(("p_", "mauchly_p")) or name == "p":
-            texts = [apa_p(value).removeprefix("p ").removeprefix("= ") for value in values]
-        elif str(name).startswith(("eta2_", "epsilon_")):
-            texts = [*map(share, values)]
-        elif str(name).startswith("df") and not (values % 1.0).any():
-            texts = [df_text(value) for value in values]
+    frame = table if table.index.names == [None] else table.reset_index()
+    heads = [name if isinstance(name, tuple) else (name,) for name in frame]
+    frame = frame.set_axis([" ".join(map(str, head)).strip() for head in heads], axis=1)
+    texts = frame.astype(object).where(frame.notna(), "").map(str)
+    for name in frame.select_dtypes("float").columns.difference(_LEVELS):
+        texts[name] = np.where(frame[name].isna(), "", _rounded(frame, name))
+    for name in texts.columns.intersection(["parameter", "correction"]):
+        texts[name] = texts[name].map(in_words)
+    texts = texts.rename(columns=in_words)
+    if "confidence" in frame:
+        level = f"{100.0 * frame['confidence'].iloc[0]:g}%"
+        texts.columns = texts.columns.str.replace("95%", level)
+    return texts
+
+
+def _rounded(frame: pd.DataFrame, name: str) -> list[str]:
+    """Return the numbers of a column as texts."""
+    values = frame[name].to_numpy()
+    if name == "p" or name.startswith(("p_", "mauchly_p")):
+        return [apa_p(value).removeprefix("p ").removeprefix("= ") for value in values]
+    if name.startswith(("eta2_", "epsilon_")):
+        return [*map(share, values)]
+    if name.startswith("df") and not (values % 1.0).any():
+        return [*map(df_text, values)]
+    sizes: Any = [values]
+    if name in _ESTIMATES:
+        errors = frame.get("stderr", frame.get("se"))
+        if errors is not None:
+            sizes = errors  # of each row
+        elif "ci_low" in frame:
+            sizes = [(frame["ci_high"] - frame["ci_low"]) / 2.0]
         else:
-            sizes = _errors(frame) if name in _ESTIMATES else [values]
-            decimals = [decimals_of(size, 2, 2) for size in sizes]
-            texts = list(map(apa_number, values, np.resize(decimals, len(values)).tolist()))
-        table[name] = np.where(np.isnan(values), "", texts)
-    return table
-
-
-def _errors(frame: pd.DataFrame) -> list:
-    """Return the sizes of errors: of each row where it has a standard error, else of all."""
-    for name in ("stderr", "se"):
-        if name in frame:
-            return list(frame[name])
-    if "ci_low" in frame and "ci_high" in frame:
-        return [(frame["ci_high"] - frame["ci_low"]) / 2.0]
-    return [frame.get("sd", 0.0)]
+            sizes = [frame.get("sd", 0.0)]
+    decimals = np.resize([decimals_of(size, 2, 2) for size in sizes], len(values))
+    return [*map(apa_number, values, decimals.tolist())]
 
 
 def decimals_of(values: Any, digits: int, least: int = 0) -> int:
     """Return the decimals, at least so many, that show some digits of a typical number."""
     sizes = np.abs(np.ravel(values).astype(float))
-    sizes = sizes[np.isfinite(sizes) & (sizes > 0.0)]
+    sizes = sizes[(sizes > 0.0) & (sizes < np.inf)]
     typical = np.median(sizes) if sizes.size else 1.0
     return int(np.clip(digits - 1 - np.floor(np.log10(typical)), least, 12))
 
@@ -230,17 +239,15 @@ def _pairs(result: Any, adjust: str) -> str:
     column, kind = _ADJUSTMENTS[adjust]
     significant, rest = [], []
     for row in result.pairs().to_dict("records"):
-        a, b = row["a"], row["b"]
-        if row[column] < result.alpha:
-            sign = "higher" if row["mean_difference"] > 0.0 else "lower"
+        a, b, p = row["a"], row["b"], row[column]
+        if p < result.alpha:
             significant.append(
-                f"{sign} in {a} than in {b}, t({row['df']}) = {apa_number(row['t'])}, "
-                f"{apa_p(row[column])}, d_z = {apa_number(row['d_z'])}, "
-                f"{interval(row['d_z_low'], row['d_z_high'])}"
+                f"{'higher' if row['mean_difference'] > 0.0 else 'lower'} in {a} than in {b}, "
+                f"t({row['df']}) = {apa_number(row['t'])}, {apa_p(p)}, d_z = "
+                f"{apa_number(row['d_z'])}, {interval(row['d_z_low'], row['d_z_high'])}"
             )
         else:
-            reason = "no test: one difference" if np.isnan(row["p"]) else apa_p(row[column])
-            rest.append(f"{a} and {b} ({reason})")
+            rest.append(f"{a} and {b} ({'no test: one difference' if np.isnan(p) else apa_p(p)})")
     found = f" {'; '.join(significant)}." if significant else ""
     none = f" No significant difference between {listed(rest)}." if rest else ""
     return f" Paired t-tests ({kind}):{found}{none}"
