@@ -291,6 +291,8 @@ def virtual_study(
     n = whole_number("n", usual if n is None else n, least=max(3, len(names)))
     design = latin_square_design(names, n, seed=seed, whole_squares=False)
     people = bed.people(n, assumptions, seed)
+    for name in bed.rules if bed.takes_rules else ():  # a rule is refused before anybody runs
+        bed.rule_of(name, people.iloc[0].to_dict())
     folder = None if out is None else _study_folder(out)
     fixed = {"testbed": bed, "folder": folder and str(folder / "sessions")}
     orders = ["/".join(order) for order in design.table().to_numpy()]
