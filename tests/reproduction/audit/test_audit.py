@@ -245,7 +245,7 @@ def test_impossible_numbers_differ():
 def test_a_contradiction_of_a_study_is_a_verdict():
     row = audit({"uav.utilization/sd.C5": "0.250"}).set_index("id").loc["uav.utilization/sd.C5"]
     assert row["verdict"] == "differs"
-    assert row["reason"].startswith("Impossible: sd.C5 = 0.250 exceeds what 36 values")
+    assert row["reason"].startswith("Impossible: sd.C5 = 0.250 must lie between 0 and 0.2")
 
 
 def test_participant_3_follows_from_other_thresholds(verdicts):

@@ -210,16 +210,26 @@ TWO = {"n": 36, "mean": {"A": "5.0", "B": "6.0"}, "sd": {"A": "1.0", "B": "2.0"}
         (THREE, {"mauchly": {"df": "9"}}, "mauchly.df", "must be 2 for 3 conditions"),
         (THREE, {"mauchly": {"chi2": "-1"}}, "mauchly.chi2", "must lie between"),
         (THREE, {"mauchly": {"chi2": "9.9", "p": ".5"}}, "mauchly.p", "χ² gives 0.006"),
-        (THREE, {"sd": {"A": "-1", "B": "1", "F": "1"}}, "sd.A", "is negative"),
-        (THREE, {"sd": {"A": "3.5", "B": "1", "F": "1"}, "scale": (1, 7)}, "sd.A", "exceeds what"),
+        (THREE, {"sd": {"A": "-1", "B": "1", "F": "1"}}, "sd.A", "must lie between 0 and"),
+        (
+            THREE,
+            {"sd": {"A": "3.5", "B": "1", "F": "1"}, "scale": (1, 7)},
+            "sd.A",
+            "for 20 values on the scale",
+        ),
         # All but one at 0: at most the mean times √n, 5.05 √20 = 22.6.
         (
             THREE,
             {"sd": {"A": "23.7", "B": "1", "F": "1"}, "scale": (0, np.inf)},
             "sd.A",
-            "exceeds what",
+            "for 20 values on the scale",
         ),
-        (THREE, {"mean": {"A": "8", "B": "4", "F": "3"}, "scale": (1, 7)}, "mean.A", "outside the"),
+        (
+            THREE,
+            {"mean": {"A": "8", "B": "4", "F": "3"}, "scale": (1, 7)},
+            "mean.A",
+            "7 on its scale",
+        ),
         (THREE, {"t_test": {"t": "2"}}, "t_test.t", "compares two conditions, and there are 3"),
         (
             THREE,
