@@ -11,7 +11,7 @@ it several.
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from fnmatch import filter as matching
-from types import MappingProxyType, SimpleNamespace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -34,8 +34,6 @@ AT_LEAST_0 = (0.0, INFINITE)
 
 PERFORMANCE = ("P_r_min", "P_r_max", "P_h_min", "P_h_max")
 LIMIT_INPUTS = (*PERFORMANCE, "a_pr", "delta_P_h")
-RATE_INPUTS = (*PERFORMANCE, "a_pr", "a_r", "delta_TSC", "TSC_l", "TSC_u")
-BOUNDS = ("P_rl", "P_ru", "r_l", "r_u")
 
 
 def robot_gain(v: Any) -> np.ndarray:
@@ -65,39 +63,24 @@ def constants(v: Any, a_pr: Any, b_pr: Any) -> TscConstants:
     )
 
 
-def limits(v: Any, b_pr: np.ndarray | float | None = None) -> dict[str, np.ndarray]:
-    """Return TSC_lb and TSC_ub, (2.9)-(2.10), and b_pr of (2.3), used unless one is given."""
-    gain = robot_gain(v)
-    tsc = constants(v, v.a_pr, gain if b_pr is None else b_pr)
-    lower, upper = limits_as_printed(tsc, v.delta_P_h)
-    return {"TSC_lb": lower, "TSC_ub": upper, "b_pr": gain}
+def limits(v: Any, b_pr: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return TSC_lb and TSC_ub, (2.9)-(2.10), by a gain."""
+    return limits_as_printed(constants(v, v.a_pr, b_pr), v.delta_P_h)
 
 
-def performance(v: Any, a_pr: Any = np.nan, rise: Any = None) -> PerformanceRange:
-    """Return P_rl, P_ru (2.15), and dwell times, which alone need a_pr and c of (2.20), `rise`."""
+def performance(v: Any, a_pr: Any = np.nan, move: float = 0.0) -> PerformanceRange:
+    """Return P_rl, P_ru (2.15), and dwell times, which alone need a_pr, by moved thresholds."""
     tsc = constants(v, a_pr, gain_of_human_performance(a_pr, v.P_r_min, v.P_r_max, v.P_h_max))
-    return performance_as_printed(tsc, v.TSC_l, v.TSC_u, v.delta_TSC, rise)
+    return performance_as_printed(tsc, v.TSC_l + move, v.TSC_u + move, v.delta_TSC)
 
 
-def bounds(v: Any, b_pr: float | None = None) -> dict[str, np.ndarray]:
-    """
-    Return P_rl, P_ru (2.15) and r_l, r_u (2.33).
-
-    With a b_pr, c of (2.20) is b_pr P_h/(1 − a_pr).
-    """
-    rise = None if b_pr is None else b_pr * v.P_h_max / (1.0 - v.a_pr)
-    p = performance(v, v.a_pr, rise)
+def utilization(v: Any, move: float = 0.0) -> tuple[np.ndarray, ...]:
+    """Return r_l and r_u of (2.33), by thresholds that are moved."""
+    p = performance(v, v.a_pr, move)
     r = utilization_as_printed(
         v.a_r, p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous_high
     )
-    r_low, r_high = (np.where(p.p_r_low < p.p_r_high, x, np.nan) for x in r)
-    return dict(zip(BOUNDS, (p.p_r_low, p.p_r_high, r_low, r_high), strict=True))
-
-
-def higher_thresholds(v: Any) -> np.ndarray:
-    """Return r_l of (2.33) where both thresholds are 0.10 higher than printed."""
-    moved = {x: getattr(v, x) + 0.10 * x.startswith("TSC_") for x in RATE_INPUTS}
-    return bounds(SimpleNamespace(**moved))["r_l"]
+    return tuple(np.where(p.p_r_low < p.p_r_high, x, np.nan) for x in r)
 
 
 def chi2_of_epsilon(
@@ -121,7 +104,7 @@ def chi2_of_epsilon(
 
 def upper_limit(v: Any) -> np.ndarray:
     """Return TSC_ub by (2.10), with b_pr as printed."""
-    return limits(v, v.b_pr)["TSC_ub"]
+    return limits(v, v.b_pr)[1]
 
 
 def step(v: Any, sign: float = 1.0) -> np.ndarray:
@@ -206,7 +189,7 @@ def mean_limits(p: str) -> Allows:
 
 def lower_limit(v: Any) -> np.ndarray:
     """Return TSC_lb by (2.9)."""
-    return limits(v)["TSC_lb"]
+    return limits(v, robot_gain(v))[0]
 
 
 def within_limits(of: str, binding: str, where: Mapping[str, str] = MappingProxyType({})) -> Allows:
@@ -263,7 +246,7 @@ MODELS: tuple[Follows | Allows, ...] = (
         conventions=(
             Formula(
                 UPPER,
-                lambda v: limits(v)["TSC_ub"],
+                lambda v: limits(v, robot_gain(v))[1],
                 "b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb",
             ),
         ),
@@ -297,16 +280,16 @@ MODELS: tuple[Follows | Allows, ...] = (
     Follows(
         "table_2.2/r_l/*",
         "r_l of (2.33)",
-        lambda v: bounds(v)["r_l"],
+        lambda v: utilization(v)[0],
         explanations=(
             Formula(
                 "r_l at TSC_l + 0.10 and TSC_u + 0.10",
-                higher_thresholds,
+                lambda v: utilization(v, 0.10)[0],
                 "thresholds were used that are both 0.10 higher than those printed",
             ),
         ),
     ),
-    Follows("table_2.2/r_u/*", "r_u of (2.33)", lambda v: bounds(v)["r_u"]),
+    Follows("table_2.2/r_u/*", "r_u of (2.33)", lambda v: utilization(v)[1]),
 )
 
 
