@@ -8,10 +8,9 @@ conditions. `ids` says where a symbol stands otherwise, "./" beside the number, 
 it several.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fnmatch import filter as matching
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -31,9 +30,6 @@ from trustlab.studies.anova import mauchly_factor, mauchly_p_value
 INFINITE = float("inf")
 POSITIVE = (1e-12, INFINITE)  # of a difference that must not be 0
 AT_LEAST_0 = (0.0, INFINITE)
-
-PERFORMANCE = ("P_r_min", "P_r_max", "P_h_min", "P_h_max")
-LIMIT_INPUTS = (*PERFORMANCE, "a_pr", "delta_P_h")
 
 
 def robot_gain(v: Any) -> np.ndarray:
@@ -121,11 +117,6 @@ def change(v: Any) -> np.ndarray:
     return 100 * abs(v.after - v.before) / v.before
 
 
-def at(section: str, *names: str) -> dict[str, str]:
-    """Return where numbers of another section stand."""
-    return {name: f"{section}/{name}" for name in names}
-
-
 def lies_above(of: str, higher: str, lower: str, column: str) -> Follows:
     """Return that the means of some conditions of a table lie above those of others."""
     table, measure = column.split("/")
@@ -192,13 +183,13 @@ def lower_limit(v: Any) -> np.ndarray:
     return limits(v, robot_gain(v))[0]
 
 
-def within_limits(of: str, binding: str, where: Mapping[str, str] = MappingProxyType({})) -> Allows:
+def within_limits(of: str, binding: str, beside: str = "") -> Allows:
     """Return that thresholds lie between the limits by (2.9) and (2.10), which need not be so."""
     return Allows(
         of,
         "TSC_lb (2.9) … TSC_ub (2.10)",
         lambda v: (lower_limit(v), upper_limit(v)),
-        ids=where,
+        beside=beside,
         as_printed=("b_pr",),
         binding=binding,
     )
@@ -230,7 +221,7 @@ MODELS: tuple[Follows | Allows, ...] = (
         "claim/remark_3/delta_tsc_of_the_pilot_operator",
         STEP,
         step,
-        ids=at("pilot", *PERFORMANCE, "delta_P_r", "delta_P_h"),
+        beside="pilot",
     ),
     Follows(
         "table_2.1/TSC_lb/*",
@@ -263,7 +254,7 @@ MODELS: tuple[Follows | Allows, ...] = (
         note="A b_pr that rounds as printed but does not obey (2.3) may reach further.",
     ),
     within_limits("table_2.2/TSC_[lu]/*", BEYOND),
-    within_limits("section_2_5/TSC_*", f"Suspicious: {BEYOND}", at("pilot", *LIMIT_INPUTS, "b_pr")),
+    within_limits("section_2_5/TSC_*", f"Suspicious: {BEYOND}", "pilot"),
     Allows(
         "table_2.3/TSC_u.mean/*",
         "TSC_lb … TSC_ub",
@@ -467,7 +458,7 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         "claim/section_3_8_1/f_i_for_a_delay_growing_at_most_0_5_s_s",
         "√(1 − Ṫ_max)",
         lambda v: (1 - v.T_max) ** 0.5,
-        ids=at("section_3_8_1", "T_max"),
+        beside="section_3_8_1",
     ),
     *(
         Follows(
@@ -511,7 +502,7 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         "uav.*/n",
         "participants − dropped",
         analysed,
-        ids=at("section_2_4_2_2", "participants", "dropped", "trials"),
+        beside="section_2_4_2_2",
         explanations=(
             Formula(
                 "trials (participants − dropped)",
@@ -524,14 +515,14 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         "teleop.*/n",
         "participants − dropped",
         analysed,
-        ids=at("section_3_9_2", "participants", "dropped"),
+        beside="section_3_9_2",
     ),
     *(
         Follows(
             f"{section}/square",
             f"participants modulo {orders}",
             left_over(orders),
-            ids=at(group, "participants"),
+            beside=group,
             target=(0.0, 0.0),
             note=f"A square balanced for order and carry-over has {orders} orders; those dropped "
             "break the balance.",
@@ -566,7 +557,7 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         "study − (tutorial + identification + 5 trials task)/60",
         lambda v: v.study - (v.tutorial + v.identification + 5 * v.trials * v.task) / 60,
         "five conditions",
-        at("section_2_4_2_2", "trials"),
+        beside="section_2_4_2_2",
         target=AT_LEAST_0,
         note="The rest is for questionnaires, consent and breaks.",
     ),
@@ -584,7 +575,7 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         "x_damping (x_stiffness + x_gain d_xy) − x_gain p_xy",
         lambda v: v.x_damping * (v.x_stiffness + v.x_gain * v.d_xy) - v.x_gain * v.p_xy,
         "Routh: positive where the loop is stable",
-        at("appendix_a/model", "x_damping", "x_stiffness", "x_gain"),
+        beside="appendix_a/model",
         suffix="/stable",
         target=AT_LEAST_0,
         note="The error rows of Appendix A with α = 0 diverge along x: the autonomous control "
@@ -664,8 +655,7 @@ def relations(numbers: Numbers) -> Iterator[Follows | Allows]:
     for relation in RELATIONS:
         for id in matching(numbers, relation.of):
             yield replace(relation, of=id)
-    ends = at("remark_7", "P_r_min", "P_r_max")
     for id, _, _, _, reading, after, before in statements():
         if reading:
-            ids = {"after": after, "before": before, **ends}
-            yield replace(READINGS[reading], of=id, ids=ids)
+            ids = {"after": after, "before": before}
+            yield replace(READINGS[reading], of=id, ids=ids, beside="remark_7")
