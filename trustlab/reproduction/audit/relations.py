@@ -23,7 +23,7 @@ from trustlab.allocation.bounds import (
 )
 from trustlab.allocation.limits import limits_as_printed
 from trustlab.models.tsc import TscConstants, gain_of_human_performance, performance_weights
-from trustlab.reproduction.audit.catalogue import PARTICIPANTS, statements
+from trustlab.reproduction.audit.catalogue import PARTICIPANTS, rows_of
 from trustlab.reproduction.audit.check import Allows, Follows, Formula, Numbers
 from trustlab.studies.anova import mauchly_factor, mauchly_p_value
 
@@ -655,7 +655,7 @@ def relations(numbers: Numbers) -> Iterator[Follows | Allows]:
     for relation in RELATIONS:
         for id in matching(numbers, relation.of):
             yield replace(relation, of=id)
-    for id, _, _, _, reading, after, before in statements():
+    for id, _, _, _, reading, after, before in rows_of("statements"):
         if reading:
             ids = {"after": after, "before": before}
             yield replace(READINGS[reading], of=id, ids=ids, beside="remark_7")
