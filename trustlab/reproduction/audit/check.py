@@ -244,19 +244,16 @@ class Follows(Formula, Relation):
         hit = [(way, span) for way, span in ways if least <= span[0] <= most]
         near = [(way, span) for way, span in ways if span[1] <= most and span[2] >= least]
         way, span = (hit or near or ways)[0]
-        verdict = "not checkable" if self.binding else "differs"
-        note = self.note.format(*(span[0] for _, span in ways))
-        reason, cause = f"{way.result(span[0], number)}.", ""
-        if hit:
-            verdict = "reproduced"
-        else:
-            causes = [(x, x.range(place)[0]) for x in self.explanations]
-            named = [
+        verdict, reason, cause = "reproduced", f"{way.result(span[0], number)}.", ""
+        if not hit:
+            causes = ((x, x.range(place)[0]) for x in self.explanations)
+            named = (
                 f"Probably {x.label}: {x.text} = {show(value, number, 2)}."
                 for x, value in causes
                 if least <= value <= most
-            ]
-            cause = "".join(named[:1])
+            )
+            cause = next(named, "")
+            verdict = "not checkable" if self.binding else "differs"
             reason = self._missed(number, ways)
         if near and not hit:
             verdict = "within rounding"
@@ -266,6 +263,7 @@ class Follows(Formula, Relation):
                 f"which takes in the printed {number.printed}."
             )
             reason = f"Suspicious: {reason}" if cause else reason
+        note = self.note.format(*(span[0] for _, span in ways))
         return row_about(
             number,
             " ".join(filter(None, (reason, cause, note))),

@@ -28,8 +28,14 @@ from trustlab.reproduction.reconstruction.contradictions import contradictions
 MEASURES = published_facts("measures")
 TLX_RULES = {rule: Fraction(points) for rule, points in MEASURES["tlx_rules"].items()}
 MOST_ITEMS = 40
-# The id of a mean: table, condition and measure; or study and condition.
-MEAN = re.compile(r"(table_2\.[45]|table_3\.1)/(\w+)/(\w+)_mean|(.+)/mean\.(\w+)")
+# The id of a mean of ratings: table, condition and measure; or study, with its measure, and
+# condition.
+RATED = "(tlx|trust|satisfaction|preference)"
+MEAN = re.compile(rf"(table_[23]\.[14])/(\w+)/{RATED}_mean|(\w+\.{RATED})/mean\.(\w+)")
+PEOPLE = {
+    "table_2.4": "section_2_4_1_1/participants",
+    "table_3.1": "section_3_8_2_1/participants",
+}
 
 
 def study_conflicts(numbers: Numbers) -> dict[str, str]:
@@ -75,28 +81,23 @@ def sample_checks(numbers: Numbers) -> list[Row]:
     Return the checks of questionnaires in Tables 2.4 and 3.1 and in the studies: the items, or the
     rule of scoring, that all means fit, and means that no whole points give.
     """
-    measures: dict[str, dict[str, str]] = {}  # by condition the id of the mean
+    measures: dict[tuple[str, str, str], dict[str, str]] = {}  # by condition the id of the mean
     for id in numbers:
         if cell := MEAN.fullmatch(id):
-            table, in_table, column, study, condition = cell.groups()
-            measure = study or f"{table}/{column}"
+            table, in_table, column, study, kind, condition = cell.groups()
+            measure = study or f"{table}/{column}", kind or column, PEOPLE.get(table, f"{study}/n")
             measures.setdefault(measure, {})[condition or in_table] = id
-    rows = []
-    for measure, ids in measures.items():
-        kind = measure.replace("/", ".").split(".")[-1]
-        if kind in ("tlx", "trust", "satisfaction", "preference"):
-            rows += _ratings(measure, kind, ids, numbers)
-    return rows
+    return [row for measure, ids in measures.items() for row in _ratings(*measure, ids, numbers)]
 
 
-def _ratings(measure: str, kind: str, ids: Mapping[str, str], numbers: Numbers) -> list[Row]:
+def _ratings(
+    measure: str, kind: str, size: str, ids: Mapping[str, str], numbers: Numbers
+) -> list[Row]:
     """Return the rows of one questionnaire."""
-    tables = {"table_2": "section_2_4_1_1/participants", "table_3": "section_3_8_2_1/participants"}
-    size = tables.get(measure.split(".")[0], f"{measure}/n")
     respondents = numbers[size]
-    word, tried, rules = "scoring", "; ".join(TLX_RULES), TLX_RULES
+    word, what, rules = "scoring", "rule of scoring", TLX_RULES
     if kind != "tlx":
-        word, tried = "items", f"up to {MOST_ITEMS} items"
+        word, what = "items", "number of items"
         rules = {f"{items} items": Fraction(items) for items in range(1, MOST_ITEMS + 1)}
 
     def fits(condition: str, rule: str) -> bool:
@@ -115,7 +116,7 @@ def _ratings(measure: str, kind: str, ids: Mapping[str, str], numbers: Numbers) 
             rows.append(row_about(numbers[id], f"{remark}weighted (GRIM)."))
         elif expected and not fits(condition, expected):
             rows.append(row_about(numbers[id], f"With {expected} no whole points round to it."))
-    what = "rule of scoring" if word == "scoring" else "number of items"
+    tried = "; ".join(rules) if kind == "tlx" else f"up to {MOST_ITEMS} items"
     reason = f"The {what} is not printed. All means are whole points for: "
     reason += f"{'; '.join(fitting[:4]) or 'none of ' + tried}."
     if expected and expected not in fitting:

@@ -27,6 +27,8 @@ class Feasibility(Result):
         The study.
     reading : str
         How p and the degrees of freedom of F were read: what was corrected by ε.
+    p_adjust : str
+        How pairwise p-values were adjusted.
     left_out : mapping of str to str
         Statistics left out beforehand as others contradict them by arithmetic, with the reason.
     found : Found
@@ -35,6 +37,7 @@ class Feasibility(Result):
 
     study: PublishedStudy
     reading: str
+    p_adjust: str
     left_out: Mapping[str, str]
     found: Found
 
@@ -133,7 +136,7 @@ def feasibility(study: PublishedStudy, p_adjust: str = "bonferroni", seed: int =
     rows = [s for s in constraints(study) if s.name not in left_out]
     reading = reading_of(study)
     found = Search(study, reading, p_adjust, rows).solve(rng)
-    return Feasibility(study, reading.words, left_out, found)
+    return Feasibility(study, reading.words, p_adjust, left_out, found)
 
 
 class ReconstructionError(ValueError):
