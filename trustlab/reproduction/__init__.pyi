@@ -23,9 +23,7 @@ from .published_study import (
 )
 from .reconstruction.feasibility import (
     Feasibility as Feasibility,
-    feasibility as feasibility,
-)
-from .reconstruction.reconstruction import (
     ReconstructionError as ReconstructionError,
+    feasibility as feasibility,
     reconstruct as reconstruct,
 )

@@ -4,7 +4,7 @@ A within-subject study as printed: every number a string, so that "0.50" keeps i
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from itertools import permutations
+from itertools import combinations
 from typing import Any
 
 import pandas as pd
@@ -161,9 +161,9 @@ class PublishedStudy:
         PublishedStudyError
             If it does not name two different conditions.
         """
-        for (i, a), (j, b) in permutations(enumerate(self.conditions), 2):
-            if name == f"{a}-{b}":
-                return min(i, j), max(i, j)
+        for (i, a), (j, b) in combinations(enumerate(self.conditions), 2):
+            if name in (f"{a}-{b}", f"{b}-{a}"):
+                return i, j
         raise PublishedStudyError(
             f"pairs: {name!r} does not name two of the conditions {', '.join(self.conditions)}, as "
             f"in {self.conditions[0]}-{self.conditions[1]}"

@@ -13,7 +13,6 @@ from scipy import stats
 import trustlab as tl
 from tests import textbook
 from trustlab.reproduction import ReconstructionError
-from trustlab.reproduction.reconstruction.moments import sample_with_moments
 
 STUDIES = tl.published_studies()
 SLIPS = {"teleop.tracking_error": {"anova.df1"}}
@@ -88,18 +87,6 @@ def test_missing_cells_are_inferred():
     t = stats.t.ppf(0.020 / 3 / 2, 23)
     exact = (1.0**2 + 1.1**2 - 24 * 0.8**2 / t**2) / (2 * 1.0 * 1.1)
     assert abs(np.corrcoef(values[:, :2].T)[0, 1] - exact) < 0.05
-
-
-def test_samples_have_exact_moments_within_the_scale():
-    rng = np.random.default_rng(0)
-    covariance = 0.06**2 * (0.5 + 0.5 * np.eye(3))
-    mean = np.array([0.95, 0.93, 0.85])
-    x = sample_with_moments(mean, np.linalg.cholesky(covariance), 20, (0.0, 1.0), rng)
-    assert 0.0 <= x.min() <= x.max() <= 1.0
-    np.testing.assert_allclose(x.mean(axis=0), mean, rtol=1e-12)
-    np.testing.assert_allclose(np.cov(x.T), covariance, rtol=1e-11)
-    wide = 10 * np.linalg.cholesky(covariance)
-    assert sample_with_moments(mean, wide, 20, (0.0, 1.0), rng, 50) is None
 
 
 def test_bad_input_is_refused():

@@ -131,35 +131,28 @@ def _studies() -> Iterator[PrintedNumber]:
 
 
 @cache
-def statements() -> list[tuple[str, ...]]:
+def rows_of(name: str) -> list[tuple[str, ...]]:
     """
-    Return the rows of statements.csv: id, where, what is stated, its text, and, of a claim that
-    compares two means, its reading and their ids.
+    Return the rows of a table of data/published, read once.
 
-    Readings: "relative", a change in % of the mean before; "points", a difference on a scale from 0
-    to 100; "share", one of shares between 0 and 1; "range", a difference in % of the range of robot
-    performance, (2.39).
+    Those of "statements": id, where, what is stated, its text, and, of a claim that compares two
+    means, its reading and their ids. Readings: "relative", a change in % of the mean before;
+    "points", a difference on a scale from 0 to 100; "share", one of shares between 0 and 1;
+    "range", a difference in % of the range of robot performance, (2.39).
     """
-    path = published_folder() / "statements.csv"
-    return list(pd.read_csv(path, dtype=str, keep_default_na=False).itertuples(index=False))
+    table = pd.read_csv(published_folder() / f"{name}.csv", dtype=str, keep_default_na=False)
+    return list(table.itertuples(index=False))
 
 
 def _statements() -> Iterator[PrintedNumber]:
-    for id, where, statement, printed, reading, _, _ in statements():
+    for id, where, statement, printed, reading, _, _ in rows_of("statements"):
         exact = printed.isdecimal() and not reading
         yield PrintedNumber(id, where, statement, printed, exact)
 
 
-@cache
-def _reasons() -> list[tuple[str, str]]:
-    return list(
-        pd.read_csv(published_folder() / "unchecked.csv", dtype=str).itertuples(index=False)
-    )
-
-
 def why_unchecked(id: str) -> str:
     """Return why a number cannot be checked: the first pattern of unchecked.csv that matches."""
-    return next(reason for pattern, reason in _reasons() if fnmatchcase(id, pattern))
+    return next(reason for pattern, reason in rows_of("unchecked") if fnmatchcase(id, pattern))
 
 
 @cache

@@ -70,25 +70,29 @@ class NotPrintedError(AttributeError):
     """A formula uses a symbol for which no number is printed."""
 
 
-@dataclass(frozen=True)
 class Place:
     """
     Where the symbols of a formula about a number stand.
 
-    `folders` are the beginnings of ids in which a symbol is looked for in turn, `end` is their
-    common end, and `ids` says where a symbol stands otherwise.
+    They are looked for beside it or among those of its participant, in its study, and in the
+    folder that the relation names; its `ids` say where a symbol stands otherwise.
     """
 
-    numbers: Numbers
-    folders: tuple[str, ...]
-    end: str = ""
-    ids: Mapping[str, str] = field(default_factory=dict)
+    def __init__(self, relation: "Follows | Allows", numbers: Numbers) -> None:
+        self.numbers, self._ids, self._end = numbers, relation.ids, ""
+        folder, _, _ = relation.of.rpartition("/")
+        _, _, last = f"{relation.of}{relation.suffix}".rpartition("/")
+        tests = ("", "anova.", "mauchly.", "t_test.") if f"{folder}/n" in numbers else ("",)
+        self.folders = [f"{folder}/{test}" for test in tests]
+        if last in PARTICIPANTS:
+            self.folders, self._end = ["table_2.1/", "table_2.2/"], f"/{last}"
+        self.folders.append(f"{relation.beside}/")
 
     def where(self, symbol: str, ids: Mapping[str, str]) -> dict[str, str]:
         """Return the id of a symbol, or by x_1, x_2 … those of several."""
-        pattern = {**self.ids, **ids}.get(symbol, "").replace("./", self.folders[0], 1)
+        pattern = {**self._ids, **ids}.get(symbol, "").replace("./", self.folders[0], 1)
         if not pattern:
-            name = f"{LETTERS.get(symbol, symbol)}{self.end}"
+            name = f"{LETTERS.get(symbol, symbol)}{self._end}"
             beside = [id for x in self.folders if (id := f"{x}{name}") in self.numbers]
             return {symbol: beside[0]} if beside else {}
         if pattern in self.numbers:
@@ -96,16 +100,6 @@ class Place:
         start = min(pattern.partition(sign)[0] for sign in "*[")
         found = matching(self.numbers, pattern)
         return {f"{symbol}_{id.removeprefix(start).partition('/')[0]}": id for id in found}
-
-
-def place_of(relation: "Follows | Allows", numbers: Numbers) -> Place:
-    """Return where symbols stand about a number: beside it, in its study, of its participant."""
-    folder, _, _ = relation.of.rpartition("/")
-    _, _, last = f"{relation.of}{relation.suffix}".rpartition("/")
-    if last in PARTICIPANTS:
-        return Place(numbers, ("table_2.1/", "table_2.2/"), f"/{last}", relation.ids)
-    tests = ("", "anova.", "mauchly.", "t_test.") if f"{folder}/n" in numbers else ("",)
-    return Place(numbers, tuple(f"{folder}/{test}" for test in tests), ids=relation.ids)
 
 
 class Values:
@@ -150,16 +144,11 @@ class Formula:
     ids: Mapping[str, str] = field(default_factory=dict)
     as_printed: tuple[str, ...] = ()
 
-    def inputs(self, place: Place) -> dict[str, str]:
-        """Return the ids of the numbers that the formula uses, by symbol."""
-        values = Values(place, self.ids)
+    def at(self, place: Place, arrays: Mapping | None = None) -> tuple[Any, dict[str, str]]:
+        """Return the value, at arrays of inputs unless as printed, and the ids of the inputs."""
+        values = Values(place, self.ids, arrays)
         with np.errstate(all="ignore"):
-            self.compute(values)
-        return values.used
-
-    def at(self, arrays: Mapping[str, np.ndarray], place: Place) -> Any:
-        """Return the value of the formula at arrays of its inputs."""
-        return self.compute(Values(place, self.ids, arrays))
+            return self.compute(values), values.used
 
     def range(self, place: Place) -> Span:
         """
@@ -168,7 +157,7 @@ class Formula:
         Exact for functions that are monotone in each input, as nearly all here are; NaN (an
         impossible input) is passed over.
         """
-        numbers = {symbol: place.numbers[id] for symbol, id in self.inputs(place).items()}
+        numbers = {symbol: place.numbers[id] for symbol, id in self.at(place)[1].items()}
         vary = [x for x, number in numbers.items() if number.half > 0 and x not in self.as_printed]
         # The middle, all corners, and points inside, the same at every call, where a function that
         # is not monotone may turn.
@@ -178,8 +167,7 @@ class Formula:
         arrays = {x: np.full(len(points), number.value) for x, number in numbers.items()}
         for x, offsets in zip(vary, points.T, strict=True):
             arrays[x] = numbers[x].value + numbers[x].half * offsets
-        with np.errstate(all="ignore"):
-            reached = np.broadcast_to(np.asarray(self.at(arrays, place), float), len(points))
+        reached = np.broadcast_to(np.asarray(self.at(place, arrays)[0], float), len(points))
         known = reached[~np.isnan(reached)]
         return (
             (float(reached[0]), float(known.min()), float(known.max())) if known.size else NOTHING
@@ -210,7 +198,7 @@ class Relation:
 
     `suffix` is appended to the id where a number is checked more than once, with a `quantity` of
     its own. Where `binding` is given, it says why the relation need not hold exactly, and "not
-    checkable" replaces "differs".
+    checkable" replaces "differs". `beside` names another folder in which symbols stand.
     """
 
     of: str
@@ -219,6 +207,7 @@ class Relation:
     suffix: str = ""
     quantity: str = ""
     binding: str = ""
+    beside: str = ""
 
 
 @dataclass(frozen=True)
@@ -243,7 +232,7 @@ class Follows(Formula, Relation):
         Return the verdict: "reproduced" if some convention gives the printed number, "within
         rounding" if only its range reaches it, else "differs".
         """
-        number, place = numbers[self.of], place_of(self, numbers)
+        number, place = numbers[self.of], Place(self, numbers)
         target = self.target or number.compatible
         if isinstance(target, Mapping):
             if number.printed not in target:
@@ -255,19 +244,16 @@ class Follows(Formula, Relation):
         hit = [(way, span) for way, span in ways if least <= span[0] <= most]
         near = [(way, span) for way, span in ways if span[1] <= most and span[2] >= least]
         way, span = (hit or near or ways)[0]
-        verdict = "not checkable" if self.binding else "differs"
-        note = self.note.format(*(span[0] for _, span in ways))
-        reason, cause = f"{way.result(span[0], number)}.", ""
-        if hit:
-            verdict = "reproduced"
-        else:
-            causes = [(x, x.range(place)[0]) for x in self.explanations]
-            named = [
+        verdict, reason, cause = "reproduced", f"{way.result(span[0], number)}.", ""
+        if not hit:
+            causes = ((x, x.range(place)[0]) for x in self.explanations)
+            named = (
                 f"Probably {x.label}: {x.text} = {show(value, number, 2)}."
                 for x, value in causes
                 if least <= value <= most
-            ]
-            cause = "".join(named[:1])
+            )
+            cause = next(named, "")
+            verdict = "not checkable" if self.binding else "differs"
             reason = self._missed(number, ways)
         if near and not hit:
             verdict = "within rounding"
@@ -277,6 +263,7 @@ class Follows(Formula, Relation):
                 f"which takes in the printed {number.printed}."
             )
             reason = f"Suspicious: {reason}" if cause else reason
+        note = self.note.format(*(span[0] for _, span in ways))
         return row_about(
             number,
             " ".join(filter(None, (reason, cause, note))),
@@ -285,7 +272,7 @@ class Follows(Formula, Relation):
             id=number.id + self.suffix,
             quantity=self.quantity,
             formula=way.text,
-            inputs=listing(way.inputs(place), numbers),
+            inputs=listing(way.at(place)[1], numbers),
         )
 
     def _missed(self, number: PrintedNumber, ways: list) -> str:
@@ -313,9 +300,12 @@ class Allows(Formula, Relation):
 
     def row(self, numbers: Numbers) -> Row:
         """Return the verdict: "not checkable" inside the range, "differs" outside."""
-        number, place = numbers[self.of], place_of(self, numbers)
-        at_least, low, _ = replace(self, compute=lambda v: self.compute(v)[0]).range(place)
-        at_most, _, high = replace(self, compute=lambda v: self.compute(v)[1]).range(place)
+        number, place = numbers[self.of], Place(self, numbers)
+
+        def reached(end: int) -> Span:
+            return replace(self, compute=lambda v: self.compute(v)[end]).range(place)
+
+        (at_least, low, _), (at_most, _, high) = reached(0), reached(1)
         ends = f"{show(low)} to {show(high)}"
         least, most = number.compatible
         verdict = "not checkable"
@@ -336,5 +326,5 @@ class Allows(Formula, Relation):
             verdict,
             (np.nan, low, high),
             formula=self.text,
-            inputs=listing(self.inputs(place), numbers),
+            inputs=listing(self.at(place)[1], numbers),
         )

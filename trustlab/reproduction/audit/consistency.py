@@ -1,155 +1,41 @@
 """
-Whether several printed numbers can go together: the parameters, limits and bounds of a participant;
-the statistics of a study; means, whole points and sample sizes; numbers that are printed twice.
+Whether several printed numbers can go together: the statistics of a study; means, whole points and
+sample sizes; numbers that are printed twice.
 """
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction
-from functools import cache, partial
+from functools import cache
 from itertools import combinations
 from statistics import mode
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import stats
 
-from trustlab.reproduction.audit.catalogue import PARTICIPANTS, PrintedNumber, study_names
+from trustlab.reproduction.audit.catalogue import PrintedNumber, study_names
 from trustlab.reproduction.audit.check import Numbers, Row, listing, row_about
-from trustlab.reproduction.audit.relations import (
-    BOUNDS,
-    LIMIT_INPUTS,
-    RATE_INPUTS,
-    bounds,
-    limits,
-)
 from trustlab.reproduction.printed import ROUNDINGS
 from trustlab.reproduction.published import published_facts
 from trustlab.reproduction.published_study import PRINTED, published_studies
 from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS
 from trustlab.reproduction.reconstruction.contradictions import contradictions
 
-LIMITS = ("TSC_lb", "TSC_ub", "b_pr")
-# Cap on a misfit, in half units; also the misfit of an output that cannot be computed.
-FARTHEST = 1e3
-
 MEASURES = published_facts("measures")
 TLX_RULES = {rule: Fraction(points) for rule, points in MEASURES["tlx_rules"].items()}
 MOST_ITEMS = 40
-# The id of a mean: table, condition and measure; or study and condition.
-MEAN = re.compile(r"(table_2\.[45]|table_3\.1)/(\w+)/(\w+)_mean|(.+)/mean\.(\w+)")
-
-# A function that computes all outputs from inputs.
-Reading = Callable[..., dict]
-
-
-def least_misfit(
-    inputs: list[PrintedNumber], outputs: list[PrintedNumber], compute: Callable
-) -> float:
-    """
-    Search the box of rounding of inputs for those whose outputs miss least; return by how many half
-    units the worst of them lies beyond its rounding, or 0.
-    """
-    middle, half = (np.array([[getattr(x, end)] for x in inputs]) for end in ("value", "half"))
-    printed, unit = (np.array([[getattr(x, end)] for x in outputs]) for end in ("value", "half"))
-
-    def miss(point: np.ndarray) -> np.ndarray:
-        beyond = np.abs(compute(middle + half * point) - printed) / unit - 1.0
-        return np.nan_to_num(np.clip(beyond, 0.0, FARTHEST), nan=FARTHEST).max(axis=0)
-
-    # A global search: the misfit has steps, as dwell times are whole numbers, and is flat where all
-    # outputs fit.
-    return optimize.differential_evolution(
-        miss,
-        [(-1.0, 1.0)] * len(inputs),
-        rng=0,
-        maxiter=300,
-        popsize=12,
-        tol=1e-6,
-        polish=False,
-        vectorized=True,
-        updating="deferred",
-        callback=lambda intermediate_result: intermediate_result.fun == 0.0,
-    ).fun
-
-
-def joint_row(
-    numbers: Numbers, p: str, inputs: tuple[str, ...], outputs: tuple[str, ...], *readings: Reading
-) -> Row:
-    """
-    Return whether outputs of a participant can all come from one set of parameters; one of the
-    readings is enough.
-    """
-    places = {
-        name: next(id for table in "12" if (id := f"table_2.{table}/{name}/{p}") in numbers)
-        for name in (*inputs, *outputs)
-    }
-    given, wanted = ([numbers[places[name]] for name in names] for names in (inputs, outputs))
-    misses = []
-    for reading in readings:
-
-        def compute(point: np.ndarray, reading: Reading = reading) -> np.ndarray:
-            found = reading(SimpleNamespace(**dict(zip(inputs, point, strict=True))))
-            return np.stack([found[name] for name in outputs])
-
-        misses.append(least_misfit(given, wanted, compute))
-        if misses[-1] == 0.0:
-            break
-    names, miss, verdict = ", ".join(outputs), min(misses), "within rounding"
-    reason = f"{names} can all come from one set of parameters that round as printed."
-    if miss > 0.0:
-        reason = (
-            f"{names} cannot all come from one set of parameters that round as printed; the "
-            f"nearest found still miss one of them by {miss:.2g} half units beyond its rounding."
-        )
-        verdict = "differs" if miss > 1.0 else "not checkable"
-        reason = reason if miss > 1.0 else f"Suspicious: {reason}"
-    anchor = wanted[1]
-    return row_about(
-        anchor,
-        reason,
-        verdict,
-        formula=f"{names} from one set of parameters",
-        inputs=listing({name: places[name] for name in inputs}, numbers),
-        id=f"{anchor.id}/column",
-        quantity=f"{names} at once",
-        printed=", ".join(number.printed for number in wanted),
-    )
-
-
-def bounds_and_limits(v: Any, gain: float, b_pr: float | None = None) -> dict:
-    """Return the bounds of Table 2.2, and the limits of Table 2.1 by a gain."""
-    return bounds(v, b_pr) | limits(v, gain)
-
-
-def joint_rows(numbers: Numbers, checked: Mapping[str, Row]) -> Iterator[Row]:
-    """
-    Return, for every participant, whether limits and bounds fit: the limits of Table 2.1, and the
-    bounds of Table 2.2, with the limits where these fit; unless one alone does not follow.
-    """
-
-    def follow(table: str, names: tuple[str, ...], p: str) -> bool:
-        return all(checked[f"table_{table}/{name}/{p}"].verdict != "differs" for name in names)
-
-    for p in PARTICIPANTS:
-        gain = numbers[f"table_2.1/b_pr/{p}"].value
-        inputs: tuple[str, ...] = RATE_INPUTS
-        outputs: tuple[str, ...] = BOUNDS
-        compute: Reading = bounds
-        if follow("2.1", LIMITS, p):
-            # b_pr as printed, then by (2.3).
-            row = joint_row(numbers, p, LIMIT_INPUTS, LIMITS, partial(limits, b_pr=gain), limits)
-            yield row
-            if row.verdict == "within rounding":
-                inputs, outputs = (*inputs, "delta_P_h"), (*outputs, *LIMITS)
-                compute = partial(bounds_and_limits, gain=gain)
-        if follow("2.2", BOUNDS, p):
-            # c of (2.20) as it is, then as b_pr P_h/(1 − a_pr) with b_pr as printed.
-            yield joint_row(numbers, p, inputs, outputs, compute, partial(compute, b_pr=gain))
+# The id of a mean of ratings: table, condition and measure; or study, with its measure, and
+# condition.
+RATED = "(tlx|trust|satisfaction|preference)"
+MEAN = re.compile(rf"(table_[23]\.[14])/(\w+)/{RATED}_mean|(\w+\.{RATED})/mean\.(\w+)")
+PEOPLE = {
+    "table_2.4": "section_2_4_1_1/participants",
+    "table_3.1": "section_3_8_2_1/participants",
+}
 
 
 def study_conflicts(numbers: Numbers) -> dict[str, str]:
@@ -195,28 +81,23 @@ def sample_checks(numbers: Numbers) -> list[Row]:
     Return the checks of questionnaires in Tables 2.4 and 3.1 and in the studies: the items, or the
     rule of scoring, that all means fit, and means that no whole points give.
     """
-    measures: dict[str, dict[str, str]] = {}  # by condition the id of the mean
+    measures: dict[tuple[str, str, str], dict[str, str]] = {}  # by condition the id of the mean
     for id in numbers:
         if cell := MEAN.fullmatch(id):
-            table, in_table, column, study, condition = cell.groups()
-            measure = study or f"{table}/{column}"
+            table, in_table, column, study, kind, condition = cell.groups()
+            measure = study or f"{table}/{column}", kind or column, PEOPLE.get(table, f"{study}/n")
             measures.setdefault(measure, {})[condition or in_table] = id
-    rows = []
-    for measure, ids in measures.items():
-        kind = measure.replace("/", ".").split(".")[-1]
-        if kind in ("tlx", "trust", "satisfaction", "preference"):
-            rows += _ratings(measure, kind, ids, numbers)
-    return rows
+    return [row for measure, ids in measures.items() for row in _ratings(*measure, ids, numbers)]
 
 
-def _ratings(measure: str, kind: str, ids: Mapping[str, str], numbers: Numbers) -> list[Row]:
+def _ratings(
+    measure: str, kind: str, size: str, ids: Mapping[str, str], numbers: Numbers
+) -> list[Row]:
     """Return the rows of one questionnaire."""
-    tables = {"table_2": "section_2_4_1_1/participants", "table_3": "section_3_8_2_1/participants"}
-    size = tables.get(measure.split(".")[0], f"{measure}/n")
     respondents = numbers[size]
-    word, tried, rules = "scoring", "; ".join(TLX_RULES), TLX_RULES
+    word, what, rules = "scoring", "rule of scoring", TLX_RULES
     if kind != "tlx":
-        word, tried = "items", f"up to {MOST_ITEMS} items"
+        word, what = "items", "number of items"
         rules = {f"{items} items": Fraction(items) for items in range(1, MOST_ITEMS + 1)}
 
     def fits(condition: str, rule: str) -> bool:
@@ -235,7 +116,7 @@ def _ratings(measure: str, kind: str, ids: Mapping[str, str], numbers: Numbers) 
             rows.append(row_about(numbers[id], f"{remark}weighted (GRIM)."))
         elif expected and not fits(condition, expected):
             rows.append(row_about(numbers[id], f"With {expected} no whole points round to it."))
-    what = "rule of scoring" if word == "scoring" else "number of items"
+    tried = "; ".join(rules) if kind == "tlx" else f"up to {MOST_ITEMS} items"
     reason = f"The {what} is not printed. All means are whole points for: "
     reason += f"{'; '.join(fitting[:4]) or 'none of ' + tried}."
     if expected and expected not in fitting:

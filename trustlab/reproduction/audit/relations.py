@@ -8,10 +8,9 @@ conditions. `ids` says where a symbol stands otherwise, "./" beside the number, 
 it several.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fnmatch import filter as matching
-from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,18 +23,13 @@ from trustlab.allocation.bounds import (
 )
 from trustlab.allocation.limits import limits_as_printed
 from trustlab.models.tsc import TscConstants, gain_of_human_performance, performance_weights
-from trustlab.reproduction.audit.catalogue import PARTICIPANTS, statements
+from trustlab.reproduction.audit.catalogue import PARTICIPANTS, rows_of
 from trustlab.reproduction.audit.check import Allows, Follows, Formula, Numbers
 from trustlab.studies.anova import mauchly_factor, mauchly_p_value
 
 INFINITE = float("inf")
 POSITIVE = (1e-12, INFINITE)  # of a difference that must not be 0
 AT_LEAST_0 = (0.0, INFINITE)
-
-PERFORMANCE = ("P_r_min", "P_r_max", "P_h_min", "P_h_max")
-LIMIT_INPUTS = (*PERFORMANCE, "a_pr", "delta_P_h")
-RATE_INPUTS = (*PERFORMANCE, "a_pr", "a_r", "delta_TSC", "TSC_l", "TSC_u")
-BOUNDS = ("P_rl", "P_ru", "r_l", "r_u")
 
 
 def robot_gain(v: Any) -> np.ndarray:
@@ -65,39 +59,24 @@ def constants(v: Any, a_pr: Any, b_pr: Any) -> TscConstants:
     )
 
 
-def limits(v: Any, b_pr: np.ndarray | float | None = None) -> dict[str, np.ndarray]:
-    """Return TSC_lb and TSC_ub, (2.9)-(2.10), and b_pr of (2.3), used unless one is given."""
-    gain = robot_gain(v)
-    tsc = constants(v, v.a_pr, gain if b_pr is None else b_pr)
-    lower, upper = limits_as_printed(tsc, v.delta_P_h)
-    return {"TSC_lb": lower, "TSC_ub": upper, "b_pr": gain}
+def limits(v: Any, b_pr: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return TSC_lb and TSC_ub, (2.9)-(2.10), by a gain."""
+    return limits_as_printed(constants(v, v.a_pr, b_pr), v.delta_P_h)
 
 
-def performance(v: Any, a_pr: Any = np.nan, rise: Any = None) -> PerformanceRange:
-    """Return P_rl, P_ru (2.15), and dwell times, which alone need a_pr and c of (2.20), `rise`."""
+def performance(v: Any, a_pr: Any = np.nan, move: float = 0.0) -> PerformanceRange:
+    """Return P_rl, P_ru (2.15), and dwell times, which alone need a_pr, by moved thresholds."""
     tsc = constants(v, a_pr, gain_of_human_performance(a_pr, v.P_r_min, v.P_r_max, v.P_h_max))
-    return performance_as_printed(tsc, v.TSC_l, v.TSC_u, v.delta_TSC, rise)
+    return performance_as_printed(tsc, v.TSC_l + move, v.TSC_u + move, v.delta_TSC)
 
 
-def bounds(v: Any, b_pr: float | None = None) -> dict[str, np.ndarray]:
-    """
-    Return P_rl, P_ru (2.15) and r_l, r_u (2.33).
-
-    With a b_pr, c of (2.20) is b_pr P_h/(1 − a_pr).
-    """
-    rise = None if b_pr is None else b_pr * v.P_h_max / (1.0 - v.a_pr)
-    p = performance(v, v.a_pr, rise)
+def utilization(v: Any, move: float = 0.0) -> tuple[np.ndarray, ...]:
+    """Return r_l and r_u of (2.33), by thresholds that are moved."""
+    p = performance(v, v.a_pr, move)
     r = utilization_as_printed(
         v.a_r, p.dwell_manual_low, p.dwell_manual_high, p.dwell_autonomous_high
     )
-    r_low, r_high = (np.where(p.p_r_low < p.p_r_high, x, np.nan) for x in r)
-    return dict(zip(BOUNDS, (p.p_r_low, p.p_r_high, r_low, r_high), strict=True))
-
-
-def higher_thresholds(v: Any) -> np.ndarray:
-    """Return r_l of (2.33) where both thresholds are 0.10 higher than printed."""
-    moved = {x: getattr(v, x) + 0.10 * x.startswith("TSC_") for x in RATE_INPUTS}
-    return bounds(SimpleNamespace(**moved))["r_l"]
+    return tuple(np.where(p.p_r_low < p.p_r_high, x, np.nan) for x in r)
 
 
 def chi2_of_epsilon(
@@ -121,7 +100,7 @@ def chi2_of_epsilon(
 
 def upper_limit(v: Any) -> np.ndarray:
     """Return TSC_ub by (2.10), with b_pr as printed."""
-    return limits(v, v.b_pr)["TSC_ub"]
+    return limits(v, v.b_pr)[1]
 
 
 def step(v: Any, sign: float = 1.0) -> np.ndarray:
@@ -136,11 +115,6 @@ def step(v: Any, sign: float = 1.0) -> np.ndarray:
 def change(v: Any) -> np.ndarray:
     """Return a relative change in %."""
     return 100 * abs(v.after - v.before) / v.before
-
-
-def at(section: str, *names: str) -> dict[str, str]:
-    """Return where numbers of another section stand."""
-    return {name: f"{section}/{name}" for name in names}
 
 
 def lies_above(of: str, higher: str, lower: str, column: str) -> Follows:
@@ -206,16 +180,16 @@ def mean_limits(p: str) -> Allows:
 
 def lower_limit(v: Any) -> np.ndarray:
     """Return TSC_lb by (2.9)."""
-    return limits(v)["TSC_lb"]
+    return limits(v, robot_gain(v))[0]
 
 
-def within_limits(of: str, binding: str, where: Mapping[str, str] = MappingProxyType({})) -> Allows:
+def within_limits(of: str, binding: str, beside: str = "") -> Allows:
     """Return that thresholds lie between the limits by (2.9) and (2.10), which need not be so."""
     return Allows(
         of,
         "TSC_lb (2.9) … TSC_ub (2.10)",
         lambda v: (lower_limit(v), upper_limit(v)),
-        ids=where,
+        beside=beside,
         as_printed=("b_pr",),
         binding=binding,
     )
@@ -247,7 +221,7 @@ MODELS: tuple[Follows | Allows, ...] = (
         "claim/remark_3/delta_tsc_of_the_pilot_operator",
         STEP,
         step,
-        ids=at("pilot", *PERFORMANCE, "delta_P_r", "delta_P_h"),
+        beside="pilot",
     ),
     Follows(
         "table_2.1/TSC_lb/*",
@@ -263,7 +237,7 @@ MODELS: tuple[Follows | Allows, ...] = (
         conventions=(
             Formula(
                 UPPER,
-                lambda v: limits(v)["TSC_ub"],
+                lambda v: limits(v, robot_gain(v))[1],
                 "b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb",
             ),
         ),
@@ -280,7 +254,7 @@ MODELS: tuple[Follows | Allows, ...] = (
         note="A b_pr that rounds as printed but does not obey (2.3) may reach further.",
     ),
     within_limits("table_2.2/TSC_[lu]/*", BEYOND),
-    within_limits("section_2_5/TSC_*", f"Suspicious: {BEYOND}", at("pilot", *LIMIT_INPUTS, "b_pr")),
+    within_limits("section_2_5/TSC_*", f"Suspicious: {BEYOND}", "pilot"),
     Allows(
         "table_2.3/TSC_u.mean/*",
         "TSC_lb … TSC_ub",
@@ -297,16 +271,16 @@ MODELS: tuple[Follows | Allows, ...] = (
     Follows(
         "table_2.2/r_l/*",
         "r_l of (2.33)",
-        lambda v: bounds(v)["r_l"],
+        lambda v: utilization(v)[0],
         explanations=(
             Formula(
                 "r_l at TSC_l + 0.10 and TSC_u + 0.10",
-                higher_thresholds,
+                lambda v: utilization(v, 0.10)[0],
                 "thresholds were used that are both 0.10 higher than those printed",
             ),
         ),
     ),
-    Follows("table_2.2/r_u/*", "r_u of (2.33)", lambda v: bounds(v)["r_u"]),
+    Follows("table_2.2/r_u/*", "r_u of (2.33)", lambda v: utilization(v)[1]),
 )
 
 
@@ -484,7 +458,7 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         "claim/section_3_8_1/f_i_for_a_delay_growing_at_most_0_5_s_s",
         "√(1 − Ṫ_max)",
         lambda v: (1 - v.T_max) ** 0.5,
-        ids=at("section_3_8_1", "T_max"),
+        beside="section_3_8_1",
     ),
     *(
         Follows(
@@ -528,7 +502,7 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         "uav.*/n",
         "participants − dropped",
         analysed,
-        ids=at("section_2_4_2_2", "participants", "dropped", "trials"),
+        beside="section_2_4_2_2",
         explanations=(
             Formula(
                 "trials (participants − dropped)",
@@ -541,14 +515,14 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         "teleop.*/n",
         "participants − dropped",
         analysed,
-        ids=at("section_3_9_2", "participants", "dropped"),
+        beside="section_3_9_2",
     ),
     *(
         Follows(
             f"{section}/square",
             f"participants modulo {orders}",
             left_over(orders),
-            ids=at(group, "participants"),
+            beside=group,
             target=(0.0, 0.0),
             note=f"A square balanced for order and carry-over has {orders} orders; those dropped "
             "break the balance.",
@@ -583,7 +557,7 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         "study − (tutorial + identification + 5 trials task)/60",
         lambda v: v.study - (v.tutorial + v.identification + 5 * v.trials * v.task) / 60,
         "five conditions",
-        at("section_2_4_2_2", "trials"),
+        beside="section_2_4_2_2",
         target=AT_LEAST_0,
         note="The rest is for questionnaires, consent and breaks.",
     ),
@@ -601,7 +575,7 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         "x_damping (x_stiffness + x_gain d_xy) − x_gain p_xy",
         lambda v: v.x_damping * (v.x_stiffness + v.x_gain * v.d_xy) - v.x_gain * v.p_xy,
         "Routh: positive where the loop is stable",
-        at("appendix_a/model", "x_damping", "x_stiffness", "x_gain"),
+        beside="appendix_a/model",
         suffix="/stable",
         target=AT_LEAST_0,
         note="The error rows of Appendix A with α = 0 diverge along x: the autonomous control "
@@ -681,8 +655,7 @@ def relations(numbers: Numbers) -> Iterator[Follows | Allows]:
     for relation in RELATIONS:
         for id in matching(numbers, relation.of):
             yield replace(relation, of=id)
-    ends = at("remark_7", "P_r_min", "P_r_max")
-    for id, _, _, _, reading, after, before in statements():
+    for id, _, _, _, reading, after, before in rows_of("statements"):
         if reading:
-            ids = {"after": after, "before": before, **ends}
-            yield replace(READINGS[reading], of=id, ids=ids)
+            ids = {"after": after, "before": before}
+            yield replace(READINGS[reading], of=id, ids=ids, beside="remark_7")

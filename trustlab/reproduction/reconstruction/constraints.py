@@ -121,17 +121,19 @@ def statistics(
     study: PublishedStudy,
     reading: Reading,
     p_adjust: str,
-    mean: np.ndarray,
-    covariance: np.ndarray,
+    scores: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """
-    Return the statistics of means (B, k) and covariances (B, k, k) by the names of constraints.
+    Return the statistics of scores (B, n, k) by the names of constraints.
 
     With A the covariance of k − 1 orthonormal contrasts: F = n Σ(m − m̄)²/tr A, and t_ij = (m_i −
     m_j)/√(V_ij/n) with V_ij the variance of a difference; of t the size.
     """
     n, k = study.n, study.k
     d = k - 1
+    mean = scores.mean(axis=1)
+    centred = scores - mean[:, None]
+    covariance = centred.swapaxes(1, 2) @ centred / (n - 1)
     contrasts = orthonormal_contrasts(k)
     errors = contrasts.T @ covariance @ contrasts
     sphere = sphericity(errors, n - 1)

@@ -26,7 +26,7 @@ from trustlab.studies.anova import mauchly_p_value
 
 def reading_of(study: PublishedStudy) -> Reading:
     """Return the reading under which least contradicts by arithmetic; of several the most usual."""
-    return min(readings(study), key=lambda reading: len(_of_the_tests(study, reading)))
+    return min(readings(study), key=lambda reading: len(_under(study, reading)))
 
 
 def contradictions(study: PublishedStudy, p_adjust: str = "bonferroni") -> dict[str, str]:
@@ -37,37 +37,12 @@ def contradictions(study: PublishedStudy, p_adjust: str = "bonferroni") -> dict[
     freedom against ε and n, p against F and its degrees of freedom, Mauchly's p against its
     chi-square, and F, t and p against what the means and standard deviations allow.
     """
-    wrong = _of_the_tests(study, reading_of(study)) | _of_the_cells(study)
+    wrong = _under(study, reading_of(study))
     return wrong | _beside_the_cells(study, p_adjust, wrong)
 
 
-def _of_the_cells(study: PublishedStudy) -> dict[str, str]:
-    """Return means and standard deviations that n values within the scale cannot have."""
-    low, high = study.scale
-    wrong = {}
-    for condition, text in study.mean.items():
-        least, most = printed_interval(text)
-        if most < low or least > high:
-            wrong[f"mean.{condition}"] = (
-                f"mean.{condition} = {text} lies outside the scale {low:g} to {high:g}"
-            )
-    for condition, text in study.sd.items():
-        name, (least, most) = f"sd.{condition}", printed_interval(text)
-        if most < 0.0:
-            wrong[name] = f"{name} = {text} is negative"
-        if condition not in study.mean or f"mean.{condition}" in wrong:
-            continue
-        spread = greatest_sd(printed_interval(study.mean[condition]), study.n, study.scale)
-        if least > spread:
-            wrong[name] = (
-                f"{name} = {text} exceeds what {study.n} values from {low:g} to {high:g} with "
-                f"mean {study.mean[condition]} can have ({spread:.4g})"
-            )
-    return wrong
-
-
-def _of_the_tests(study: PublishedStudy, reading: Reading) -> dict[str, str]:
-    """Return what contradicts among the statistics of the tests, under a reading."""
+def _under(study: PublishedStudy, reading: Reading) -> dict[str, str]:
+    """Return what contradicts under a reading, but for what the tests say of the cells."""
     n, k = study.n, study.k
     printed = {s.name: s for s in constraints(study)}
     wrong = _impossible(study, reading, printed)
@@ -136,9 +111,7 @@ def _impossible(
     """Return numbers that no data have, and tests that there cannot be."""
     n, k = study.n, study.k
     d = k - 1
-    factor = np.array([1.0 / d, 1.0]) if reading.df else np.ones(2)
-    if reading.rounded:
-        factor = np.full(2, reading.rounded)
+    factor = np.array([reading.rounded or (1.0 / d if reading.df else 1.0), reading.rounded or 1.0])
     # The least and the greatest value of a statistic.
     limits: dict[str, Any] = {
         "anova.eta2": (0.0, 1.0),
@@ -150,24 +123,30 @@ def _impossible(
     }
     wrong = {}
     for name, s in printed.items():
-        test = name.split(".")[0]
+        test, _, condition = name.partition(".")
         least, most = limits.get(name, (0.0, 1.0 if s.is_p else math.inf))
+        where = ""
+        if "df" in name or name == "epsilon":
+            where = f" for {k} conditions, n = {n}{_where_degrees_belong(study)}"
+        elif test == "mean":
+            (least, most), where = study.scale, " on its scale"
+        elif test == "sd" and condition in study.mean and f"mean.{condition}" not in wrong:
+            most = greatest_sd(printed_interval(study.mean[condition]), n, study.scale)
+            where = f" for {n} values on the scale with mean {study.mean[condition]}"
         if test == "mauchly" and not 2 < k <= n:
             few = f"{n} subjects are too few for {k} conditions"
             wrong[name] = few if k > 2 else "sphericity always holds for two conditions"
         elif test == "t_test" and k != 2:
             wrong[name] = f"a t-test compares two conditions, and there are {k}"
-        elif test not in ("mean", "sd") and not _meets(s, least, most):
+        elif not _meets(s, least, most):
             within = f"be {most:g}" if least == most else f"lie between {least:.4g} and {most:.4g}"
-            wrong[name] = f"{name} = {s.text} must {within}"
-            if "df" in name or name == "epsilon":
-                wrong[name] += f" for {k} conditions, n = {n}{_where_degrees_belong(study)}"
+            wrong[name] = f"{name} = {s.text} must {within}{where}"
     return wrong
 
 
 def _meets(s: Constraint, least: float, most: float) -> bool:
-    """Return whether a number agrees with some value from least to most; none is below 0."""
-    return least <= s.high and s.low <= most and (s.low > -math.inf or s.high > 0.0)
+    """Return whether a number agrees with a value from least to most; “<x” lies below x."""
+    return least <= s.high and s.low <= most and (s.low > -math.inf or s.high > least)
 
 
 def _where_degrees_belong(study: PublishedStudy) -> str:

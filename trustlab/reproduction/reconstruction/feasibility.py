@@ -1,4 +1,6 @@
-"""Whether a study's printed numbers can belong to one data set, and what conflicts if not."""
+"""
+Whether a study's printed numbers can belong to one data set, what conflicts if not, and such data.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,7 +13,7 @@ from trustlab.models.display import Result
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, constraints
 from trustlab.reproduction.reconstruction.contradictions import contradictions, reading_of
-from trustlab.reproduction.reconstruction.moments import MomentProblem, Moments
+from trustlab.reproduction.reconstruction.search import STARTS, Found, Search
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -21,17 +23,23 @@ class Feasibility(Result):
 
     Parameters
     ----------
-    problem : MomentProblem
-        The study, what was corrected by ε, how pairwise p-values were adjusted, and what must hold.
+    study : PublishedStudy
+        The study.
+    reading : str
+        How p and the degrees of freedom of F were read: what was corrected by ε.
+    p_adjust : str
+        How pairwise p-values were adjusted.
     left_out : mapping of str to str
         Statistics left out beforehand as others contradict them by arithmetic, with the reason.
-    moments : Moments
-        Means and covariance that were found, or the closest ones.
+    found : Found
+        Data that were found, or the closest ones.
     """
 
-    problem: MomentProblem
+    study: PublishedStudy
+    reading: str
+    p_adjust: str
     left_out: Mapping[str, str]
-    moments: Moments
+    found: Found
 
     def __bool__(self) -> bool:
         return self.feasible is True
@@ -47,17 +55,12 @@ class Feasibility(Result):
     @property
     def rest_feasible(self) -> bool | None:
         """True if data with all that is not left out were found, None if none were."""
-        return None if self.moments.violation else True
+        return None if self.found.missed else True
 
     @property
     def conflict(self) -> tuple[str, ...]:
         """Where no data were found: the statistics that the closest ones do not have."""
-        return tuple(name for name, beyond in self.moments.outside.items() if beyond > 0.0)
-
-    @property
-    def reading(self) -> str:
-        """How p and the degrees of freedom of F were read: what was corrected by ε."""
-        return self.problem.reading.words
+        return self.found.missed
 
     @property
     def message(self) -> str:
@@ -68,18 +71,17 @@ class Feasibility(Result):
             parts.append(f"{subject.capitalize()} can hold together.")
         else:
             parts.append(
-                f"No data with {subject} were found from {self.moments.starts} starts; the closest "
-                f"miss {', '.join(self.conflict) or 'the scale'}."
+                f"No data with {subject} were found from {STARTS} starts; the closest "
+                f"miss {', '.join(self.conflict)}."
             )
-        study = self.problem.study
-        if {"F", "p"} <= study.anova.keys() and study.k > 2:
+        if {"F", "p"} <= self.study.anova.keys() and self.study.k > 2:
             parts.append(f"Read as {self.reading}.")
         return " ".join(parts)
 
     @property
     def title(self) -> str:
         """The study."""
-        return f"Feasibility of {self.problem.study.name}"
+        return f"Feasibility of {self.study.name}"
 
     def table(self) -> pd.DataFrame:
         """
@@ -89,7 +91,7 @@ class Feasibility(Result):
         """
         rows = [
             (*s, s.name in self.conflict, self.left_out.get(s.name, ""))
-            for s in constraints(self.problem.study)
+            for s in constraints(self.study)
         ]
         columns = ["statistic", "printed", "low", "high", "in_conflict", "left_out"]
         return pd.DataFrame(rows, columns=columns).set_index("statistic")
@@ -99,9 +101,8 @@ def feasibility(study: PublishedStudy, p_adjust: str = "bonferroni", seed: int =
     """
     Determine whether printed numbers can belong to one data set, and if not, what conflicts.
 
-    Feasibility is shown by means and a covariance matrix that have all statistics within rounding;
-    infeasibility by arithmetic (`left_out`). Where neither is found the answer is None: no
-    accusation.
+    Feasibility is shown by data that have all statistics within rounding; infeasibility by
+    arithmetic (`left_out`). Where neither is found the answer is None: no accusation.
 
     Parameters
     ----------
@@ -133,5 +134,72 @@ def feasibility(study: PublishedStudy, p_adjust: str = "bonferroni", seed: int =
     rng = np.random.default_rng(whole_number("seed", seed, least=0))
     left_out = contradictions(study, p_adjust)
     rows = [s for s in constraints(study) if s.name not in left_out]
-    problem = MomentProblem(study, reading_of(study), p_adjust, rows)
-    return Feasibility(problem, left_out, problem.solve(rng))
+    reading = reading_of(study)
+    found = Search(study, reading, p_adjust, rows).solve(rng)
+    return Feasibility(study, reading.words, p_adjust, left_out, found)
+
+
+class ReconstructionError(ValueError):
+    """No data with the printed statistics were found; the message says what to try."""
+
+
+# The mark that data carry in their `attrs`.
+RECONSTRUCTED = {
+    "reconstructed": True,
+    "note": "Reconstructed data: not measurements, but values that have the printed statistics.",
+}
+
+
+def reconstruct(study: PublishedStudy, seed: int = 0, p_adjust: str | None = None) -> pd.DataFrame:
+    """
+    Return data that have the statistics printed for a study.
+
+    Statistics that contradict others by arithmetic are left out. The values are continuous: they do
+    not follow the steps of a questionnaire. They are not measurements, and say so.
+
+    Parameters
+    ----------
+    study : PublishedStudy
+        The study, for example `published_studies()["uav.tlx"]`.
+    seed : int
+        Seed; each draws its own subjects.
+    p_adjust : {"bonferroni", "holm", "sidak", "none"}, optional
+        How the printed pairwise p-values were adjusted; the first of these under which all can
+        hold, unless given.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns subject, condition, value; `attrs` marks the data as reconstructed and says what was
+        left out and why.
+
+    Raises
+    ------
+    ValueError
+        If an argument is wrong.
+    ReconstructionError
+        If no data were found.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
+    >>> frame.groupby("condition")["value"].mean().round(1).to_dict()
+    {'C1': 54.3, 'C2': 50.1, 'C3': 44.2, 'C4': 51.9, 'C5': 52.8}
+    """
+    of_class("study", study, PublishedStudy)
+    # Where none is given, first what the fewest numbers contradict.
+    fewest = sorted(ADJUSTMENTS, key=lambda each: len(contradictions(study, each)))
+    for candidate in fewest if p_adjust is None else [p_adjust]:
+        answer = feasibility(study, candidate, seed)
+        if answer.rest_feasible:
+            break
+    else:
+        raise ReconstructionError(f"{study.name}, p_adjust={candidate!r}: {answer.message}")
+    subjects = pd.RangeIndex(1, study.n + 1, name="subject")
+    wide = pd.DataFrame(answer.found.scores, subjects, list(study.conditions))
+    long = wide.melt(var_name="condition", value_name="value", ignore_index=False)
+    frame = long.sort_index(kind="stable").reset_index()
+    about = {"study": study.name, "p_adjust": candidate, "seed": int(seed)}
+    frame.attrs = {**RECONSTRUCTED, **about, "left_out": answer.left_out}
+    return frame

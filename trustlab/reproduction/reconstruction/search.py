@@ -1,0 +1,132 @@
+"""
+Data that have all printed statistics, by least squares.
+
+The scores of random people are x = m + Gz, with z normal, and the end of the scale where that lies
+beyond it. The unknowns are m and G. How far each statistic lies outside its printed interval is
+minimised; where nothing does, the data are a solution.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import optimize
+
+from trustlab.reproduction.published_study import PublishedStudy
+from trustlab.reproduction.reconstruction.constraints import Constraint, Reading, statistics
+
+# Starts after which the search gives up.
+STARTS = 60
+
+# How far inside the printed intervals solutions are sought, as a share of their units.
+MARGIN = 0.1
+
+# Intervals are widened by these shares of their sizes at first, so that no single one leads astray.
+WIDTHS = (0.1, 0.01, 0.001, 0.0)
+
+# Greatest unit of violation: natural logarithm of a p, or a share of the size.
+UNIT = 0.05
+
+FAR = 1e6  # the violation of what is no number
+
+TINY = 1e-300  # below which a p is not told apart
+
+
+class Found(NamedTuple):
+    """Scores, shape (n, k), and the printed statistics that they do not have."""
+
+    scores: np.ndarray
+    missed: tuple[str, ...]
+
+
+class Search:
+    """
+    A search for data of a study, read in a way, with p of pairs adjusted so, that meet constraints.
+    """
+
+    @np.errstate(all="ignore")  # of intervals that are open
+    def __init__(
+        self, study: PublishedStudy, reading: Reading, p_adjust: str, rows: Sequence[Constraint]
+    ):
+        self._study, self._reading, self._p_adjust = study, reading, p_adjust
+        self._names = [s.name for s in rows]
+        printed = {s.name: 0.5 * (s.low + s.high) for s in rows}
+        self._cells = [
+            np.array([printed.get(f"{cell}.{c}", np.nan) for c in study.conditions])
+            for cell in ("mean", "sd")
+        ]
+        known = [x[np.isfinite(x)] for x in self._cells]
+        self._centre, spread = (x.sum() / max(x.size, 1) for x in known)
+        width = study.scale[1] - study.scale[0]
+        self._spread = spread or (0.2 * width if np.isfinite(width) else 1.0)
+        self._is_p = is_p = np.array([s.is_p for s in rows], dtype=bool)
+        is_cell = [name.startswith(("mean.", "sd.")) for name in self._names]
+        low, high = np.reshape([(s.low, s.high) for s in rows], (-1, 2)).T
+        size = np.maximum(np.abs(np.where(np.isfinite(low), low, high)), 1e-3)
+        self._size = np.where(is_p, 1.0, np.where(is_cell, self._spread, size))
+        # Of a p its logarithm counts, and none lies above 1.
+        low, high = (np.where(is_p, np.log(np.clip(x, 0.0, 1.0)), x) for x in (low, high))
+        self._unit = np.clip(0.5 * (high - low), 1e-12 * self._size, UNIT * self._size)
+        self._low, self._high = low, np.where(is_p & (high == 0.0), np.inf, high)
+
+    def _scores(self, x: np.ndarray, people: np.ndarray) -> np.ndarray:
+        """Return the scores of people (n, k) by unknowns (B, …), shape (B, n, k)."""
+        k = self._study.k
+        scores = x[:, None, :k] + people @ x[:, k:].reshape(-1, k, k)
+        return np.clip(self._centre + self._spread * scores, *self._study.scale)
+
+    def _outside(
+        self, x: np.ndarray, people: np.ndarray, width: float, margin: float
+    ) -> np.ndarray:
+        """Return how far statistics lie outside by unknowns (B, …), in units, shape (B, rows)."""
+        scores = self._scores(x, people)
+        found = statistics(self._study, self._reading, self._p_adjust, scores)
+        value = np.reshape([found[name] for name in self._names], (-1, len(x))).T
+        value[:, self._is_p] = np.log(np.maximum(value[:, self._is_p], TINY))
+        widened = width * self._size
+        unit = np.maximum(self._unit, widened)
+        inner = margin * unit - widened
+        outside = np.maximum(self._low + inner - value, value - self._high + inner) / unit
+        return np.nan_to_num(np.maximum(outside, 0.0), nan=FAR, posinf=FAR)
+
+    def _slopes(self, x: np.ndarray, *where: Any) -> np.ndarray:
+        """Return the derivatives of `_outside` by forward differences, all in one call."""
+        step = 1e-7 * np.maximum(np.abs(x), 1e-3)
+        first, *moved = self._outside(np.vstack([x, x + np.diag(step)]), *where)
+        slopes = (moved - first) / step[:, None]
+        return np.nan_to_num(slopes, nan=0.0, posinf=FAR, neginf=-FAR).T
+
+    def _start(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw m and G: means and standard deviations as printed, random correlations."""
+        k, spread = self._study.k, self._spread
+        drawn = np.clip(self._centre + spread * rng.standard_normal(k), *self._study.scale)
+        drawn = drawn, spread * np.exp(0.3 * rng.standard_normal(k))
+        mean, sd = (np.where(np.isfinite(x), x, y) for x, y in zip(self._cells, drawn, strict=True))
+        common = rng.uniform(0.0, 3.0) * np.abs(rng.standard_normal((k, 1)))
+        loading = rng.standard_normal((k, k)) + common
+        loading *= sd / np.linalg.norm(loading, axis=0)
+        return np.concatenate([mean - self._centre, loading.ravel()]) / spread
+
+    @np.errstate(all="ignore")  # candidates may be degenerate, and numbers that are printed, too
+    def solve(self, rng: np.random.Generator) -> Found:
+        """Search from several starts; return the first solution, or the closest data."""
+        closest, least = None, np.array([np.inf])
+        for _ in range(STARTS):
+            x, people = self._start(rng), rng.standard_normal((self._study.n, self._study.k))
+            for width in WIDTHS:
+                x = optimize.least_squares(
+                    lambda x, *where: self._outside(x[None], *where)[0],
+                    x,
+                    self._slopes,
+                    args=(people, width, MARGIN),
+                    max_nfev=60,
+                ).x
+                if not np.isfinite(x).all():  # numbers that are far out lead there
+                    break
+            outside = self._outside(x[None], people, 0.0, 0.0)[0]
+            if outside.max(initial=0.0) < least.max():
+                closest, least = self._scores(x[None], people)[0], outside
+            if not least.any():
+                break
+        missed = (name for name, beyond in zip(self._names, least, strict=True) if beyond)
+        return Found(closest, tuple(missed))
