@@ -30,6 +30,13 @@ def test_rounding(value, digits, text):
     assert apa_number(value, digits) == text
 
 
+def test_only_a_leading_zero_is_left_out():
+    """10.5 was printed as 1.50."""
+    numbers = (0.5, -0.5, 1.0, 10.5, 20.04)
+    texts = [".50", "−.50", "1.00", "10.50", "20.04"]
+    assert [apa_number(number, below_one=True) for number in numbers] == texts
+
+
 @pytest.mark.parametrize(
     ("p", "text"),
     [

@@ -1,5 +1,6 @@
 """Numbers, tables and sentences of a results section, as the APA manual requires."""
 
+import re
 from collections.abc import Iterable
 from decimal import ROUND_HALF_UP, Decimal, localcontext
 from typing import Any
@@ -74,7 +75,7 @@ def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str
         return str(value)
     with localcontext(prec=400, rounding=ROUND_HALF_UP):
         text = f"{Decimal(f'{value:.12g}'):z.{digits}f}".replace("-", "−")
-    return text.replace("0.", ".", 1) if below_one else text
+    return re.sub(r"^(−?)0\.", r"\1.", text) if below_one else text
 
 
 def apa_p(p: float) -> str:
