@@ -266,7 +266,7 @@ def score(
     ------
     ValueError
         Naming the item, and its row or subject, of an answer that is missing, not a number or not
-        on the scale, or whose weights are not whole numbers from 0 to 5 with the sum 15.
+        on the scale, or whose weights cannot come from pairwise choices.
 
     References
     ----------
@@ -348,11 +348,13 @@ def _weights(weights: pd.DataFrame, answers: pd.DataFrame, subject: str) -> pd.D
     w = _read("weights", weights, answers.columns, subject, None)
     w.index, people = (table.index.get_level_values(0) for table in (w, answers))
     w = w.reindex(people).set_axis(answers.index)
-    possible = w.isin(range(6)).all(axis=1) & (w.sum(axis=1) == 15.0)
+    # Landau (1953): of six items, the j chosen least meet each other j(j − 1)/2 times.
+    wins, least = np.sort(w).cumsum(axis=1), np.cumsum(range(6))
+    possible = w.isin(range(6)).all(axis=1) & (wins >= least).all(axis=1) & (wins[:, -1] == 15.0)
     for row in w.index[~possible]:
         raise ValueError(
-            f"weights: {w.loc[row].tolist()} of {row} are not six whole numbers from 0 to 5, with "
-            "the sum 15 (nan where there are none)"
+            f"weights: {w.loc[row].tolist()} of {row} are not those of fifteen choices between "
+            "pairs: six whole numbers from 0 to 5 with the sum 15 (nan where there are none)"
         )
     return w
 
