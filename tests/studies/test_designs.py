@@ -67,6 +67,12 @@ def test_same_seed_same_design_and_more_participants_change_no_order(k, seed):
     pd.testing.assert_frame_equal(small.table(), large.table().iloc[: SIZES[k]])
 
 
+def test_conditions_may_be_pairs():
+    conditions = [("M", 0.1), ("M", 0.2)]
+    design = latin_square_design(conditions, 4, seed=3)
+    assert {*design.orders()["condition"]} == {*conditions}
+
+
 def test_an_order_without_a_label_is_refused():
     orders = latin_square_design(list("ABCD"), 4, seed=3).orders()
     with pytest.raises(ValueError, match="column 'condition' has no label in row 2"):

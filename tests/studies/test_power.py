@@ -248,3 +248,21 @@ def test_names_of_a_covariance_are_those_of_the_conditions():
     found = tl.power_analysis(means, turned, n=5, simulation=SMALL).table()
     same = tl.power_analysis(means, np.diag([1.0, 2.0, 30.0]), n=5, simulation=SMALL).table()
     pd.testing.assert_frame_equal(found, same)
+
+
+def test_a_covariance_with_other_columns_than_rows_is_refused():
+    covariance = pd.DataFrame(np.eye(2), list("AB"), list("XY"))
+    with pytest.raises(ValueError, match=r"covariance has the columns \['X', 'Y'\]"):
+        tl.power_analysis({"A": 1.0, "B": 2.0}, covariance, n=5, simulation=SMALL)
+
+
+def test_conditions_may_be_pairs():
+    means = {("M", 1): 0.0, ("M", 2): 1.0}
+    power = tl.power_analysis(means, np.eye(2), n=5, simulation=SMALL)
+    assert power.population.labels == (*means,)
+
+
+def test_no_effect_is_exactly_none():
+    """Rounding gave 1e-32."""
+    power = tl.power_analysis([0.1] * 4, graded_covariance(4), n=20, simulation=SMALL).table()
+    assert (power[["effect_size", "noncentrality"]] == 0.0).all(axis=None)

@@ -270,7 +270,7 @@ def latin_square_design(
         )
     labels, *batches = spawned(seed, 1 - (-n // size))
     drawn = np.random.default_rng(labels).permutation(k)[williams_square(k)]
-    square = np.array(conditions, dtype=object)[drawn]
+    square = pd.Series(conditions, dtype=object).to_numpy()[drawn]
     order = np.concatenate([np.random.default_rng(batch).permutation(size) for batch in batches])
     if half:
         # The first k orders of a square for odd k are a Latin square by themselves: every

@@ -258,14 +258,19 @@ def population_of(
         same = len(known) == len(values)
         mean = pd.Series(values, known if same else range(1, len(values) + 1))
     means = pd.Series(mean, dtype=float)
-    if means.index.nlevels != len(factors):
+    if several and means.index.nlevels != len(factors):
         raise ValueError(f"mean must be indexed by {', '.join(map(str, factors))}")
     if not several:
         labels = [*means.index]
         if known:
             if unknown := [name for name in labels if name not in known]:
                 raise ValueError(f"mean names {unknown}, but the covariance is that of {known}")
-            covariance = covariance.reindex(index=labels, columns=labels)
+            if {*covariance.columns} != {*known}:
+                raise ValueError(
+                    f"covariance has the columns {[*covariance.columns]}; name them as its rows: "
+                    f"{known}"
+                )
+            covariance = covariance.loc[labels, labels]
         return Conditions(labels, means.to_numpy(), covariance, origin)
     levels = {name: tuple(means.index.unique(i)) for i, name in enumerate(factors)}
     means = means.reindex(pd.MultiIndex.from_product(levels.values()))

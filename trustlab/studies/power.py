@@ -181,6 +181,7 @@ def exact_tests(population: Conditions, n: int, alpha: float) -> pd.DataFrame:
     tests = effects(scores[None], design).reset_index("effect")
     df1, df2 = tests["df1"], tests["df2"] * (n - 1) / k
     strength = tests["F"] * df1 * n / (k + 1)
+    strength = strength.where(strength > 1e-12, 0.0)  # less is the rounding of no effect
     critical = special.fdtri(df1, df2, 1.0 - alpha)
     power = 1.0 - special.ncfdtr(df1, df2, strength, critical)
     return pd.DataFrame(
