@@ -244,6 +244,19 @@ def test_an_unknown_condition_or_assumption_is_named():
         tl.virtual_study(**QUICK, assumptions={"atention_cost": 0.1})
 
 
+@pytest.mark.parametrize(
+    ("conditions", "message"),
+    [
+        ([], "conditions must have at least 2 labels, got 0"),
+        (["C1", ("C2", None)], "'C2' must be a name of its own"),
+        (["C1", ("in turns",)], r"a rule is a pair \(name, rule\), got \('in turns',\)"),
+    ],
+)
+def test_conditions_that_are_none_are_refused(conditions, message):
+    with pytest.raises(ValueError, match=message):
+        tl.virtual_study(**QUICK | {"conditions": conditions})
+
+
 class Alternating:
     """A rule with a memory: every 200 calls it changes the mode, if TSC or P_r let it."""
 

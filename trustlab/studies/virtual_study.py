@@ -21,7 +21,7 @@ from trustlab.models.files import path_of
 from trustlab.sessions.writing import write_session
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
-from trustlab.studies.table import labelled
+from trustlab.studies.table import labelled, labels_of
 from trustlab.studies.words import listed
 from trustlab.testbeds.deciding import warn_if_too_short
 from trustlab.testbeds.testbed import ConditionTestbed, Testbed, named_testbed
@@ -287,7 +287,7 @@ def virtual_study(
     """
     seed = whole_number("seed", seed, least=0)
     bed, names = _fitting(testbed, conditions, laps)
-    usual = participants_needed(len(names), bed.printed_n)
+    usual = participants_needed(len(labels_of("conditions", names, 2)), bed.printed_n)
     n = whole_number("n", usual if n is None else n, least=max(3, len(names)))
     design = latin_square_design(names, n, seed=seed, whole_squares=False)
     people = bed.people(n, assumptions, seed)
@@ -338,12 +338,14 @@ def _fitting(testbed: Any, conditions: Any, laps: int | None) -> tuple[Any, tupl
     rules: dict[str, Callable] = {}
     names = []
     for condition in conditions:
-        name, make = condition if isinstance(condition, tuple) else (condition, None)
         if hasattr(condition, "leader"):  # a policy has its name with it
-            name, make = condition.title, partial(copy, condition)
-        if make is not None:
-            rules[name] = make
-        names.append(name)
+            condition = (condition.title, partial(copy, condition))
+        if isinstance(condition, tuple):
+            if len(condition) != 2:
+                raise ValueError(f"conditions: a rule is a pair (name, rule), got {condition}")
+            rules[condition[0]] = condition[1]
+            condition = condition[0]
+        names.append(condition)
     if any("/" in str(name) for name in rules):  # it becomes part of file names
         raise ValueError(f"conditions: the name of a rule must be text without /, got {[*rules]}")
     if rules:
