@@ -18,7 +18,7 @@ from scipy import special
 from scipy.optimize import brentq
 
 from trustlab.models.checks import counted, of_class
-from trustlab.studies.anova import Design, effect_name, partial_eta_interval, subsets
+from trustlab.studies.anova import Design, contrasts, effect_name, partial_eta_interval, subsets
 from trustlab.studies.pairs import compared, estimates_of, level_pairs
 from trustlab.studies.table import (
     Columns,
@@ -173,8 +173,8 @@ class MixedModel(Tested):
         weights = weights[:, 0]
         difference = weights @ self.means["mean"].to_numpy()
         se = np.sqrt(((weights @ self.covariance) * weights).sum(axis=1))
-        twice = np.nan if factor in self.between else 2.0 * self.residual_variance
-        table = compared(pairs, difference, se, df, se / np.sqrt(twice))
+        sd = np.nan if factor in self.between else np.sqrt(2.0 * self.residual_variance)
+        table = compared(pairs, difference, se, df, sd)
         both = np.sqrt(self.subject_variance + self.residual_variance)
         return labelled(table.assign(d_av=difference / both), self.origin)
 
@@ -251,14 +251,14 @@ def mixed_model(
     within_df = cells.size - n - table.shape[1] + combinations
     rows = []
     for names in subsets(factors)[1:]:
-        contrasts = Design(n, factors).contrasts(names)
-        effect = contrasts.T @ fit.beta
-        chi2 = float(effect @ np.linalg.solve(contrasts.T @ covariance @ contrasts, effect))
+        tested = contrasts(factors, names)
+        effect = tested.T @ fit.beta
+        chi2 = float(effect @ np.linalg.solve(tested.T @ covariance @ tested, effect))
         df1, df2 = effect.size, between_df if {*names} <= {*groups} else within_df
         f, eta2 = chi2 / df1, chi2 / (chi2 + df2)
         p, p_chi2 = special.fdtrc(df1, df2, f), special.chdtrc(df1, chi2)
         low, high, *_ = partial_eta_interval(f, df1, df2)
-        rows.append((effect_name((), names), f, df1, df2, p, chi2, p_chi2, eta2, low, high))
+        rows.append((effect_name(names), f, df1, df2, p, chi2, p_chi2, eta2, low, high))
     columns = ["effect", "F", "df1", "df2", "p", "chi2", "p_chi2", "eta2_partial"]
     columns += ["eta2_partial_low", "eta2_partial_high"]
     tests = pd.DataFrame(rows, columns=columns).assign(
@@ -273,7 +273,7 @@ def mixed_model(
     means = estimates_of(fit.beta, np.sqrt(np.diag(covariance)), tests["df2"].min())
     means = means.rename(columns={"estimate": "mean"})[["mean", "se", "ci_low", "ci_high"]]
     cell_names = table.columns if len(factors) > 1 else zip(table.columns, strict=True)
-    means.index = pd.Index([effect_name((), cell) for cell in cell_names], name="cell")
+    means.index = pd.Index([effect_name(cell) for cell in cell_names], name="cell")
     origin = origin_of(frame)
     tests, means = labelled(tests, origin), labelled(means, origin)
     return MixedModel(dv, factors, [*groups], tests, means, covariance)

@@ -1,8 +1,6 @@
 """Comparisons after an analysis of variance: pairs of levels, ranks, normality."""
 
-import math
 from collections.abc import Hashable
-from functools import reduce
 from itertools import combinations
 from typing import Any
 
@@ -79,19 +77,33 @@ def level_pairs(
             raise ValueError(f"factor: {name!r} is not a factor of this design: {[*factors]}")
     if factor == at:
         raise ValueError(f"factor and at are both {factor!r}; name two factors")
-    sizes = {name: len(levels) for name, levels in factors.items()}
-    means = {name: np.full((1, k), 1.0 / k) for name, k in sizes.items()}
-    a, b = np.triu_indices(sizes[factor], 1)
-    contrasts = np.eye(sizes[factor])[a] - np.eye(sizes[factor])[b]
-    cells = math.prod(map(len, design.within.values()))
-    pairs, weights = [], []
-    for place, level in enumerate([np.nan] if at is None else factors[at]):
-        fixed = {} if at is None else {at: np.eye(sizes[at])[[place]]}
-        of_cells = reduce(np.kron, (means | fixed | {factor: contrasts}).values())
-        weights.append(design.combinations.T @ of_cells.reshape(len(a), -1, cells))
-        pairs += [(level, *pair) for pair in combinations(factors[factor], 2)]
+    sizes = [*map(len, factors.values())]
+    # The number of every cell's level of each factor; marks of the cells of each level.
+    numbers = dict(zip(factors, np.indices(sizes).reshape(len(sizes), -1), strict=True))
+    marks = {name: np.eye(len(factors[name]))[:, numbers[name]] for name in factors}
+    means = (1.0 if at is None else marks[at][:, None]) * marks[factor][None]
+    means /= means.sum(axis=2, keepdims=True)
+    a, b = np.triu_indices(len(factors[factor]), 1)
+    levels = [np.nan] if at is None else factors[at]
+    pairs = [(level, *pair) for level in levels for pair in combinations(factors[factor], 2)]
+    weights = (means[:, a] - means[:, b]).reshape(len(pairs), design.combinations, -1)
+    of_covariates = (0, len(design.covariates))
     table = pd.DataFrame(pairs, columns=["level", "a", "b"], dtype=object)
-    return table, np.concatenate(weights)
+    return table, np.pad(weights, ((0, 0), of_covariates, (0, 0)))
+
+
+def differences(regression: Regression, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return weighted sums of the coefficients of all cells in every study, and their standard errors,
+    both of shape (studies, weights); NaN where an error is what rounding of the scores can cause.
+    """
+    design, residual = regression.design, regression.residual
+    root = np.linalg.cholesky(design.inverse / design.n)
+    errors = residual @ np.hstack([*(np.swapaxes(weights, 1, 2) @ root)])
+    squares = (errors**2).sum(axis=1).reshape(len(residual), len(weights), -1).sum(axis=2)
+    se = np.sqrt(squares / design.df_error)
+    se = np.where(se * np.sqrt(design.n) > regression.rounding[:, None], se, np.nan)
+    return np.tensordot(regression.coefficients, weights, ((1, 2), (1, 2))), se
 
 
 def compared(
@@ -99,14 +111,16 @@ def compared(
     difference: np.ndarray,
     se: np.ndarray,
     df: float,
-    scale: Any,
+    sd: Any,
     level: float = 0.95,
 ) -> pd.DataFrame:
     """
-    Return pairs with their tests, p-values adjusted within each level, and d_z = t · scale.
+    Return pairs with their tests, p-values adjusted within each level, and d_z by the standard
+    deviation of a subject's difference.
     """
     tests = estimates_of(difference, se, df, level).rename(columns={"estimate": "mean_difference"})
     family = tests["p"].groupby(pairs["level"], dropna=False)
+    scale = se / sd
     low, high = d_z_interval(tests["t"].to_numpy(), df, scale, level)
     return pairs.join(tests).assign(
         df=df,
@@ -118,48 +132,13 @@ def compared(
     )
 
 
-def differences(regression: Regression, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return weighted sums of the coefficients of all cells in every study, and their standard errors,
-    both of shape (studies, weights); NaN where an error is what rounding of the scores can cause.
-    """
-    design, residual = regression.design, regression.residual
-    errors = residual @ np.hstack([*_turned(design, weights)])
-    squares = (errors**2).sum(axis=1).reshape(len(residual), len(weights), -1).sum(axis=2)
-    se = np.sqrt(squares / design.df_error)
-    se = np.where(se * np.sqrt(design.n) > regression.rounding[:, None], se, np.nan)
-    return np.tensordot(regression.coefficients, weights, ((1, 2), (1, 2))), se
-
-
-def _turned(design: Design, weights: np.ndarray) -> np.ndarray:
-    """Return the weights of residuals in the errors of weighted sums of coefficients."""
-    return np.swapaxes(weights, 1, 2) @ np.linalg.cholesky(design.inverse / design.n)
-
-
-def factor_pairs(
-    regression: Regression, factor: Hashable, at: Hashable, level: float
-) -> pd.DataFrame:
-    """Return comparisons of levels of one study, each with the error of its own differences."""
-    design = regression.design
-    pairs, weights = level_pairs(design, factor, at)
-    (difference,), (se,) = differences(regression, weights)
-    # Standard errors over standard deviations of the differences; between groups there are none.
-    inside = (weights[:, 0] ** 2).sum(axis=1)
-    squares = (_turned(design, weights) ** 2).sum(axis=(1, 2))
-    scale = np.sqrt(squares / np.where(inside > 1e-12, inside, np.nan))
-    return compared(pairs, difference, se, design.df_error, scale, level)
-
-
 def friedman(values: np.ndarray) -> pd.DataFrame:
     """Test whether the conditions' mean ranks differ; `values` has shape (n, k)."""
     import pingouin
 
-    n, k = values.shape
+    names = {"Q": "chi2", "ddof1": "df", "p_unc": "p", "W": "kendall_w"}
     test = pingouin.friedman(pd.DataFrame(values))  # a wide table: a row per subject
-    w = float(np.clip(test["W"].iloc[0], 0.0, 1.0))  # the bounds are exact: only rounding is cut
-    chi2 = n * (k - 1) * w
-    p = special.chdtrc(k - 1, chi2)
-    return pd.DataFrame([{"chi2": chi2, "df": k - 1, "p": p, "kendall_w": w}])
+    return test[[*names]].rename(columns=names).reset_index(drop=True)
 
 
 def rank_pairs(values: np.ndarray) -> pd.DataFrame:
@@ -194,11 +173,10 @@ def normality_of_differences(values: np.ndarray) -> pd.DataFrame:
 
     NaN where all differences are equal.
     """
-    rounding = 8.0 * np.finfo(float).eps * np.abs(values).max()
-    rows = []
-    for a, b in combinations(values.T, 2):
-        x, row = a - b, (np.nan, np.nan)
-        if np.ptp(x) > rounding and x.size <= 5000:  # beyond, SciPy's p is not defined
-            row = stats.shapiro(x / np.abs(x).max())  # SciPy takes tiny differences for equal
-        rows.append(row)
-    return pd.DataFrame(rows, columns=["W", "p"])
+    a, b = np.triu_indices(values.shape[1], 1)
+    x = values[:, a] - values[:, b]
+    # Beyond 5,000 SciPy's p is not defined; it takes tiny differences for equal.
+    spread = np.ptp(x, axis=0) > 8.0 * np.finfo(float).eps * np.abs(values).max()
+    largest = np.abs(x).max(axis=0)
+    x = x / np.where(spread & (len(x) <= 5000), largest, np.nan)
+    return pd.DataFrame(dict(zip("Wp", stats.shapiro(x, axis=0), strict=True)))

@@ -405,16 +405,15 @@ def _tests_of(
     groups, design = population.design(n)
     regression = regress(np.atleast_2d(population.mean)[groups][None], design)
     table = []
-    for block, names in design.effects:
-        contrasts, columns = design.contrasts(names), design.columns[block]
-        d, variances = contrasts.shape[1], contrasts.T @ population.covariance @ contrasts
-        squares = float(regression.sum_of_squares(contrasts, columns)[0])
+    for names, (columns, cells) in design.hypotheses.items():
+        d, variances = cells.shape[1], cells.T @ population.covariance @ cells
+        squares = float(regression.sum_of_squares(columns, cells)[0])
         strength = squares * d / np.trace(variances)
         epsilon = float(sphericity(variances, design.df_error)["epsilon_gg"])
-        df1, df2 = d * len(columns), d * design.df_error
+        df1, df2 = d * columns.shape[1], d * design.df_error
         critical = special.fdtri(df1, df2, 1.0 - simulation.alpha)
         closed = 1.0 - special.ncfdtr(df1, df2, strength, critical)
-        effect = effect_name(block, names)
+        effect = effect_name(names)
         where = {
             "n": n,
             "effect": effect,

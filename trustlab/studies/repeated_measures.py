@@ -166,7 +166,13 @@ class RepeatedMeasures(Tested):
             return labelled(names.join(pairs.rank_pairs(self.scores.to_numpy())), self.origin)
         if factor is None and len(self.within) == 1:
             factor = next(iter(self.within))
-        table = pairs.factor_pairs(self._regression(), factor, at, level).drop(columns="se")
+        names, weights = pairs.level_pairs(self.design, factor, at)
+        regression = self._regression()
+        (difference,), (se,) = pairs.differences(regression, weights)
+        sd = np.sqrt(np.diagonal(regression.covariance(weights.sum(axis=1).T)[0]))
+        sd = np.where(factor in self.between, np.nan, sd)
+        table = pairs.compared(names, difference, se, self.design.df_error, sd, level)
+        table = table.drop(columns="se")
         if self.one_way:
             sd = self.scores.std().to_numpy()
             a, b = np.triu_indices(self.k, 1)
@@ -362,7 +368,7 @@ def repeated_measures(
     tests = effects(scores.to_numpy()[None], design).loc[0].reset_index()
     origin = scores.attrs.get("origin", "")
     rows = [
-        {"dv": dv, "within": effect_name((), (*levels,)), "effect": row.pop("effect")}
+        {"dv": dv, "within": effect_name(levels), "effect": row.pop("effect")}
         | {"n": design.n, "k": scores.shape[1]}
         | row
         | _corrected(row, design, correction)
