@@ -150,7 +150,7 @@ ALONE = np.where(np.arange(6)[:, None] % 3 == np.arange(3), 1.0 + np.arange(6)[:
         (EXACT, "dv or formula: the scores have no error variance"),
         (np.where(np.arange(18).reshape(6, 3) == 7, np.nan, EXACT), "no error variance"),
         (ALONE, "no error variance"),
-        (EXACT[:2], "subject: column 'person' has 2 groups with scores"),
+        (EXACT[:2], "subject or groups: 2 groups with scores"),
     ],
 )
 def test_scores_without_an_error_are_refused(values, message):

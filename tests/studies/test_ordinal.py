@@ -141,7 +141,7 @@ def test_likelihood_is_the_integral():
 
     exact = integrate.quad(integrand, -9.0, 9.0, points=[-1.0, 0.0], epsabs=0, epsrel=1e-12)[0]
     model = Cumulative(category, np.zeros(59, dtype=int), 40)
-    found = model.log_likelihood(shift, ends[1:3], sd)
+    found = model.log_likelihood(np.array([1.0, *ends[1:3], sd]), shift[:, None])
     assert found == pytest.approx(np.log(exact) - 45.0, abs=1e-9)
 
 

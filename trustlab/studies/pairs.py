@@ -52,6 +52,11 @@ def estimates_of(
     return pd.DataFrame(columns | {"ci_low": estimate - half, "ci_high": estimate + half})
 
 
+def standard_errors(weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return those of weighted sums, a row of weights each, of numbers with a covariance."""
+    return np.sqrt(((weights @ covariance) * weights).sum(axis=1))
+
+
 def d_z_interval(t: np.ndarray, df: float, scale: Any, level: float = 0.95) -> list[np.ndarray]:
     """
     Return the limits of an interval of d_z = t · scale, by the noncentral t distribution.
