@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
 from tests.studies.scores import COLUMNS, drawn
-from trustlab.studies.table import complete_scores, read_cells
+from trustlab.studies.table import complete_scores, read_cells, read_factors
 
 
 def table(n=5):
@@ -111,7 +111,7 @@ def test_whatever_is_missing_is_named_or_left_out(n, k, data):
     """
     gone = np.array(data.draw(st.lists(st.booleans(), min_size=n * k, max_size=n * k)))
     frame = drawn(n, mode=range(k)).assign(score=np.where(gone, np.nan, 1.0))
-    read = read_cells(frame, "score", {"mode": tuple(range(k))}, "person")
+    read = read_cells(*read_factors(frame, "score", "mode", "person")[:2], "score", "person")
     complete = ~gone.reshape(n, k).any(axis=1)
     if gone.any():
         with pytest.raises(ValueError, match=r"missing cells|complete subject"):

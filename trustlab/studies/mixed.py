@@ -229,19 +229,19 @@ def mixed_model(
           F  df1  df2   icc
     0  5.89    4  140  0.78
     """
-    levels, groups = read_factors(frame, dv, within, subject, between, order)
+    table, levels, groups = read_factors(frame, dv, within, subject, between, order)
     factors = groups | levels
-    table = read_cells(frame, dv, factors, subject).dropna(how="all")
-    there = table.notna().to_numpy()
-    for cell in table.columns[~there.any(axis=0)]:
+    scores = read_cells(table, factors, dv, subject).dropna(how="all")
+    there = scores.notna().to_numpy()
+    for cell in scores.columns[~there.any(axis=0)]:
         raise ValueError(f"within: no subject has a score in cell {cell!r} of {[*factors]}")
     person, cells = np.nonzero(there)
-    x = np.eye(table.shape[1])[cells]
-    fit = intercept_fit(table.to_numpy()[there], x, person, restricted=True)
+    x = np.eye(scores.shape[1])[cells]
+    fit = intercept_fit(scores.to_numpy()[there], x, person, restricted=True)
     covariance = fit.residual * fit.inverse
-    design = Design(len(table), levels, groups)
+    design = Design(len(scores), levels, groups)
     between_df = design.n - design.combinations
-    within_df = cells.size - table.shape[1] - between_df
+    within_df = cells.size - scores.shape[1] - between_df
     rows = []
     for names in subsets(factors)[1:]:
         tested = contrasts(factors, names)
@@ -261,7 +261,7 @@ def mixed_model(
         singular=fit.ratio == 0.0,
         n=design.n,
         cells=cells.size,
-        missing_cells=design.n * table.shape[1] // design.combinations - cells.size,
+        missing_cells=design.n * scores.shape[1] // design.combinations - cells.size,
     )
     means = estimates_of(fit.beta, np.sqrt(np.diag(covariance)), tests["df2"].min())
     means = means.rename(columns={"estimate": "mean"})[["mean", "se", "ci_low", "ci_high"]]

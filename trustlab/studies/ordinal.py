@@ -293,15 +293,14 @@ def ordinal_model(
        term  df
     0  mode   1
     """
-    inside, groups = read_factors(frame, dv, within, subject, between, order)
-    data = frame.reset_index(drop=True)
-    codes, people = pd.factorize(data[subject])
-    if len(people) < 3:
-        raise ValueError(f"subject: column {subject!r} has {len(people)} people; at least 3 needed")
+    table, inside, groups = read_factors(frame, dv, within, subject, between, order)
+    data = table.reset_index(drop=True)
+    codes = data[subject].cat.codes.to_numpy()
+    n = codes.max() + 1
+    if n < 3:
+        raise ValueError(f"subject: column {subject!r} has {n} people; at least 3 needed")
     answers, categories = _categories(label_column(data, "dv", dv))
     factors = groups | inside
-    for name, levels in factors.items():
-        data[name] = pd.Categorical(data[name], levels)
     for name in covariates:
         finite_array("covariates", column_of(data, "covariates", name))
     crossed = " * ".join(f"`{name}`" for name in factors)
@@ -335,7 +334,7 @@ def ordinal_model(
     kind = "logistic" if len(categories) == 2 else "cumulative-link"
     return OrdinalModel(
         title=f"A {kind} mixed model of {dv} with random intercepts",
-        n=len(people),
+        n=n,
         observations=answers.size,
         tests=labelled(tests, origin_of(frame)),
         coefficients=labelled(coefficients, origin_of(frame)),

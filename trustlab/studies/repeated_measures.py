@@ -357,14 +357,14 @@ def repeated_measures(
     alpha = open_unit("alpha", alpha)
     if not names_of(within):
         raise ValueError("within must name a column")
-    levels, groups = read_factors(frame, dv, within, subject, between, order, covariates)
-    cells = read_cells(frame, dv, levels, subject)
+    table, levels, groups = read_factors(frame, dv, within, subject, between, order, covariates)
+    cells = read_cells(table, levels, dv, subject)
     call = f"tl.mixed_model(frame, {dv!r}, {within!r}, {subject!r}, between={between!r})"
     remedy = "leave them out with missing='listwise'"
     if not covariates:
         remedy += f"; or call {call}, which takes missing cells"
     scores, excluded = complete_scores(cells, dv, missing, remedy)
-    design = _design(frame, scores, subject, levels, groups, names_of(covariates))
+    design = _design(table, scores, subject, levels, groups, names_of(covariates))
     tests = effects(scores.to_numpy()[None], design).loc[0].reset_index()
     origin = scores.attrs.get("origin", "")
     rows = [
@@ -380,7 +380,7 @@ def repeated_measures(
 
 
 def _design(
-    frame: pd.DataFrame,
+    table: pd.DataFrame,
     scores: pd.DataFrame,
     subject: Hashable,
     levels: Levels,
@@ -388,16 +388,15 @@ def _design(
     covariates: list[Hashable],
 ) -> Design:
     """Return the design of the subjects whose scores are complete."""
-    people = frame.drop_duplicates(subject).set_index(subject).loc[scores.index]
+    people = table.drop_duplicates(subject).set_index(subject).loc[scores.index]
     codes, numbers = {}, {}
     for name, listed in groups.items():
-        members = people[name].tolist()
-        if min(map(members.count, listed)) < 2:
+        codes[name] = people[name].cat.codes.to_numpy()
+        if people[name].value_counts().min() < 2:
             raise ValueError(
                 f"between: every group of column {name!r}, {listed}, needs two complete "
-                f"participants, got {members}"
+                f"participants, got {people[name].tolist()}"
             )
-        codes[name] = np.array([*map(listed.index, members)])
     for name in covariates:
         x = finite_array("covariates", numbers_of(people[name], "covariates"))
         numbers[name] = (x - x.mean()) / (x.std() or 1.0)
