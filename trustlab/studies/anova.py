@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from scipy import special
+from scipy.linalg import helmert
 from scipy.optimize import brentq
 
 from trustlab.models.checks import finite_numbers, not_negative, open_unit, positive
@@ -39,8 +40,7 @@ def subsets(names: Iterable) -> list[tuple]:
 
 def orthonormal_contrasts(k: int) -> np.ndarray:
     """Return Helmert contrasts of unit length, shape (k, k − 1): orthogonal to the constant."""
-    contrasts = np.triu(np.ones((k, k)))[:, :-1] - np.diag(np.arange(1.0, k), -1)[:, :-1]
-    return contrasts / np.linalg.norm(contrasts, axis=0)
+    return helmert(k).T
 
 
 def contrasts(factors: Mapping[Any, Sequence], names: Iterable) -> np.ndarray:

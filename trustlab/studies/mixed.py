@@ -81,12 +81,11 @@ def intercept_fit(
         shift = inverse @ weighted[:-1, -1]
         contrast = np.append(-shift, 1.0)
         residual = float(contrast @ weighted @ contrast) / free
-        pull = means * weight[:, None]
-        slope = weight.sum() - ((pull @ contrast) ** 2).sum() / residual
-        deviance = free * (1.0 + np.log(2.0 * np.pi * residual))
-        deviance += np.log1p(counts * ratio).sum()
+        falling = (means.T * weight**2) @ means  # of `weighted`, as the ratio rises
+        slope = weight.sum() - contrast @ falling @ contrast / residual
+        deviance = free * (1.0 + np.log(2.0 * np.pi * residual)) + np.log1p(counts * ratio).sum()
         if restricted:
-            slope -= (pull[:, :-1] @ inverse * pull[:, :-1]).sum()
+            slope -= (inverse * falling[:-1, :-1]).sum()
             deviance -= np.linalg.slogdet(inverse)[1]
         return InterceptFit(deviance, slope, start + shift, inverse, ratio, residual)
 
@@ -393,7 +392,7 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
     try:
         # A missing label would be zeros, as if it were the reference level.
         matrices = model_matrix(formula, frame, na_action="drop")
-    except (FormulaicError, NameError, KeyError, SyntaxError, ValueError) as error:
+    except (FormulaicError, LookupError, ValueError) as error:
         raise ValueError(f"formula {formula!r}: {error} (columns are {[*frame]})") from None
     score, x = (pd.DataFrame(part, dtype=float) for part in (matrices.lhs, matrices.rhs))
     if score.shape[1] != 1:

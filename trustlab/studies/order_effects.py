@@ -200,7 +200,7 @@ def _differences(y: np.ndarray, parts: dict[str, np.ndarray], design: Design) ->
     x = np.column_stack([*parts.values()])
     pairs, weights = level_pairs(design, *design.within)
     weights = np.eye(x.shape[1])[: weights.shape[2]].T @ weights[:, 0].T
-    weighted = np.linalg.pinv(x).T @ weights
+    weighted = np.linalg.pinv(x, 1e-12).T @ weights
     # Estimable weights are combinations of contrasts of the regressors.
     estimable = np.isclose(x.T @ weighted, weights, atol=1e-8).all(axis=0)
     difference = np.where(estimable, y @ weighted, np.nan)

@@ -167,6 +167,15 @@ class OrdinalModel(FormulaModel):
     covariance: np.ndarray
     cells: pd.DataFrame
 
+    def _chances(self, point: np.ndarray, sd: float) -> np.ndarray:
+        """Return how likely every category is in every cell, over people of an SD."""
+        x = self.cells.to_numpy()
+        beta, thresholds = np.split(point, [x.shape[1]])
+        nodes, mass = np.polynomial.hermite_e.hermegauss(60)
+        logits = thresholds[:, None] - (x @ beta)[:, None, None] - sd * nodes
+        below = special.expit(logits) @ (mass / mass.sum())
+        return np.diff(below, axis=1, prepend=0.0, append=1.0)
+
     def probabilities(self) -> pd.DataFrame:
         """
         Return how likely every rating is in every cell, averaged over people.
@@ -179,15 +188,11 @@ class OrdinalModel(FormulaModel):
         """
         from statsmodels.tools.numdiff import approx_fprime
 
-        x, point = self.cells.to_numpy(), self.coefficients["estimate"].to_numpy()
+        point = self.coefficients["estimate"].to_numpy()
         sd = np.sqrt(self.variances["Intercept"])
-        nodes, mass = np.polynomial.hermite_e.hermegauss(60)
 
         def logits(point: np.ndarray) -> np.ndarray:
-            beta, thresholds = np.split(point, [x.shape[1]])
-            logit = thresholds[:, None] - (x @ beta)[:, None, None] - sd * nodes
-            below = special.expit(logit) @ (mass / mass.sum())
-            return special.logit(np.diff(below, axis=1, prepend=0.0, append=1.0)).ravel()
+            return special.logit(self._chances(point, sd)).ravel()
 
         slope = approx_fprime(point, logits, 2.0 * STEP, centered=True)  # which takes half of it
         half = special.ndtri(0.975) * standard_errors(slope, self.covariance)
@@ -210,14 +215,12 @@ class OrdinalModel(FormulaModel):
             superiority (probability that the median person rates a above b, ties half).
         """
         x, point = self.cells.to_numpy(), self.coefficients["estimate"].to_numpy()
-        beta, thresholds = np.split(point, [x.shape[1]])
         names = np.array([*map(effect_name, self.cells.index.to_frame().to_numpy())])
         a, b = np.triu_indices(len(names), 1)
-        contrast = x[a] - x[b]
-        se = standard_errors(contrast, self.covariance[: beta.size, : beta.size])
-        table = pd.DataFrame({"a": names[a], "b": names[b]}).join(estimates_of(contrast @ beta, se))
-        below = special.expit(thresholds - (x @ beta)[:, None])
-        chance = np.diff(below, axis=1, prepend=0.0, append=1.0)
+        contrast = np.pad(x[a] - x[b], ((0, 0), (0, point.size - x.shape[1])))
+        tests = estimates_of(contrast @ point, standard_errors(contrast, self.covariance))
+        table = pd.DataFrame({"a": names[a], "b": names[b]}).join(tests)
+        chance = self._chances(point, 0.0)
         middle = np.cumsum(chance, axis=1) - 0.5 * chance  # P(below) and half of P(equal)
         table = table.assign(
             p_holm=holm(table["p"].to_numpy()),

@@ -8,7 +8,7 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import between, open_unit, positive
-from trustlab.studies.pairs import holm, normality_of_differences
+from trustlab.studies.pairs import holm, normality
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.table import Tested, labelled
 from trustlab.studies.words import apa_pair
@@ -111,15 +111,15 @@ def paired_t_test(
             f"within: column {within!r} has {result.k} conditions, {[*result.conditions]}; a "
             "paired t-test compares two. Select their rows, or use repeated_measures"
         )
-    values = result.scores.to_numpy()
-    normality = normality_of_differences(values).rename(
-        columns={"W": "shapiro_w", "p": "shapiro_p"}
-    )
-    test = pd.concat([result.pairs(confidence=confidence), normality], axis=1).assign(
+    a, b = result.scores.to_numpy().T
+    shapiro = normality(a, b)
+    test = result.pairs(confidence=confidence).assign(
         n=result.n,
-        sd_difference=np.subtract(*values.T).std(ddof=1),
+        sd_difference=(a - b).std(ddof=1),
         confidence=confidence,
         correlation=result.scores.corr().iloc[0, 1],
+        shapiro_w=shapiro["W"],
+        shapiro_p=shapiro["p"],
     )
     return PairedTTest(labelled(test[COLUMNS], result.origin), result)
 

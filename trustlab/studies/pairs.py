@@ -1,6 +1,6 @@
 """Comparisons after an analysis of variance: pairs of levels, ranks, normality."""
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from itertools import combinations
 from typing import Any
 
@@ -146,42 +146,42 @@ def friedman(values: np.ndarray) -> pd.DataFrame:
     return test[[*names]].rename(columns=names).reset_index(drop=True)
 
 
-def rank_pairs(values: np.ndarray) -> pd.DataFrame:
+def of_pairs(scores: pd.DataFrame, test: Callable[..., dict]) -> pd.DataFrame:
+    """Return a test of every pair of conditions, a row each: a, b and what it returns."""
+    values = {condition: column.to_numpy() for condition, column in scores.items()}
+    rows = [
+        {"a": a, "b": b} | test(values[a], values[b]) for a, b in combinations(scores.columns, 2)
+    ]
+    return pd.DataFrame(rows).astype({"a": object, "b": object})
+
+
+def signed_ranks(a: np.ndarray, b: np.ndarray) -> dict[str, Any]:
     """
-    Compare every pair of conditions by Wilcoxon's signed-rank test, by the rules of R's
-    wilcox.test: zero differences are left out; exact below 50 subjects without ties or zeros.
+    Return Wilcoxon's signed-rank test by the rules of R's wilcox.test: zero differences are left
+    out; exact below 50 subjects without ties or zeros.
     """
     # Ranked to twelve digits of the largest score: 0.3 − 0.2 and 0.2 − 0.1 are a tie.
-    grid = 10.0 ** (np.ceil(np.log10(np.abs(values).max())) - 12.0)
-    rows = []
-    for a, b in combinations(values.T, 2):
-        steps = np.round((a - b) / grid)
-        steps = steps[steps != 0.0]
-        ranks = stats.rankdata(np.abs(steps))
-        v, p, method, total = np.nan, np.nan, "not defined", ranks.sum()
-        if steps.size:
-            exact = np.unique(ranks).size == a.size < 50
-            method = "exact" if exact else "normal approximation, continuity corrected"
-            kind = "exact" if exact else "asymptotic"
-            v = ranks[steps > 0.0].sum()
-            p = stats.wilcoxon(steps, correction=not exact, method=kind).pvalue
-        rows.append((v, p, method, 2.0 * v / (total or 1.0) - 1.0, np.median(a - b)))
-    names = ["V", "p", "method", "rank_biserial", "median_difference"]
-    table = pd.DataFrame(rows, columns=names)
-    p = table["p"].to_numpy()
-    return table.assign(p_bonferroni=bonferroni(p), p_holm=holm(p))
+    grid = 10.0 ** (np.ceil(np.log10(max(np.abs(a).max(), np.abs(b).max()))) - 12.0)
+    steps = np.round((a - b) / grid)
+    steps = steps[steps != 0.0]
+    ranks = stats.rankdata(np.abs(steps))
+    v, p, method = np.nan, np.nan, "not defined"
+    if steps.size:
+        exact = np.unique(ranks).size == a.size < 50
+        method = "exact" if exact else "normal approximation, continuity corrected"
+        kind = "exact" if exact else "asymptotic"
+        v = ranks[steps > 0.0].sum()
+        p = stats.wilcoxon(steps, correction=not exact, method=kind).pvalue
+    biserial = 2.0 * v / (ranks.sum() or 1.0) - 1.0
+    test = {"V": v, "p": p, "method": method, "rank_biserial": biserial}
+    return test | {"median_difference": np.median(a - b)}
 
 
-def normality_of_differences(values: np.ndarray) -> pd.DataFrame:
-    """
-    Return W and p of the Shapiro–Wilk test of the differences of every pair of conditions.
-
-    NaN where all differences are equal.
-    """
-    a, b = np.triu_indices(values.shape[1], 1)
-    x = values[:, a] - values[:, b]
-    # Beyond 5,000 SciPy's p is not defined; it takes tiny differences for equal.
-    spread = np.ptp(x, axis=0) > 8.0 * np.finfo(float).eps * np.abs(values).max()
-    largest = np.abs(x).max(axis=0)
-    x = x / np.where(spread & (len(x) <= 5000), largest, np.nan)
-    return pd.DataFrame(dict(zip("Wp", stats.shapiro(x, axis=0), strict=True)))
+def normality(a: np.ndarray, b: np.ndarray) -> dict[str, float]:
+    """Return Shapiro and Wilk's W of the differences and its p; NaN where all are equal."""
+    x = a - b
+    w, p = np.nan, np.nan
+    rounding = 8.0 * np.finfo(float).eps * max(np.abs(a).max(), np.abs(b).max())
+    if np.ptp(x) > rounding and x.size <= 5000:  # beyond, SciPy's p is not defined
+        w, p = stats.shapiro(x / np.abs(x).max())  # SciPy takes tiny differences for equal
+    return {"W": w, "p": p}

@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -114,7 +114,7 @@ class RepeatedMeasures(Tested):
         """
         groups = [*self.design.groups.values()]
         people: Any = self.scores.groupby(groups) if groups else [((), self.scores)]
-        stats = pd.concat([describe(part.to_numpy()) for _, part in people], ignore_index=True)
+        stats = pd.concat([describe(part) for _, part in people], ignore_index=True)
         names = ["condition"] if self.one_way else [*self.between, *self.within]
         cells = [*product(*self.between.values(), *self.within.values())]
         return labelled(pd.DataFrame(cells, columns=names, dtype=object).join(stats), self.origin)
@@ -162,8 +162,10 @@ class RepeatedMeasures(Tested):
             self._refuse_several_factors('pairs(method="wilcoxon")')
             if (factor, at, level) != (None, None, 0.95):
                 raise ValueError("factor, at and confidence have no effect on ranks")
-            names = pd.DataFrame(combinations(self.conditions, 2), columns=["a", "b"], dtype=object)
-            return labelled(names.join(pairs.rank_pairs(self.scores.to_numpy())), self.origin)
+            table = pairs.of_pairs(self.scores, pairs.signed_ranks)
+            p = table["p"].to_numpy()
+            table = table.assign(p_bonferroni=pairs.bonferroni(p), p_holm=pairs.holm(p))
+            return labelled(table, self.origin)
         if factor is None and len(self.within) == 1:
             factor = next(iter(self.within))
         names, weights = pairs.level_pairs(self.design, factor, at)
@@ -191,8 +193,7 @@ class RepeatedMeasures(Tested):
     def normality(self) -> pd.DataFrame:
         """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
         self._refuse_several_factors("normality()")
-        tests = pairs.normality_of_differences(self.scores.to_numpy())
-        return labelled(pd.concat([self.pairs()[["a", "b"]], tests], axis=1), self.origin)
+        return labelled(pairs.of_pairs(self.scores, pairs.normality), self.origin)
 
     def friedman(self) -> pd.DataFrame:
         """Return Friedman's rank test of one factor: columns chi2, df, p, kendall_w."""
@@ -264,7 +265,7 @@ class RepeatedMeasures(Tested):
         return axes
 
 
-def describe(values: np.ndarray) -> pd.DataFrame:
+def describe(scores: pd.DataFrame) -> pd.DataFrame:
     """
     Return n mean sd se median minimum maximum of every condition, and both intervals of the mean.
 
@@ -272,18 +273,15 @@ def describe(values: np.ndarray) -> pd.DataFrame:
     subjects sees; the factor √(k/(k − 1)) (Morey, 2008) compensates for the variance that this
     removes.
     """
-    n, k = values.shape
-    mean, sd = values.mean(axis=0), values.std(axis=0, ddof=1)
-    stats = {"n": n, "mean": mean, "sd": sd, "se": sd / np.sqrt(n)}
-    stats["median"] = np.median(values, axis=0)
-    stats |= {"minimum": values.min(axis=0), "maximum": values.max(axis=0)}
-    centred = values - values.mean()  # a common offset would cost digits in the subjects' means
-    inside = centred - centred.mean(axis=1, keepdims=True)
-    within = inside.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
-    width = special.stdtrit(n - 1, 0.975) / np.sqrt(n)
-    for end, spread in {"": sd, "_within": within}.items():
-        stats |= {f"ci_low{end}": mean - width * spread, f"ci_high{end}": mean + width * spread}
-    return pd.DataFrame(stats)
+    n, k = scores.shape
+    stats = scores.agg(["count", "mean", "std", "sem", "median", "min", "max"]).T
+    stats.columns = ["n", "mean", "sd", "se", "median", "minimum", "maximum"]
+    inside = scores.sub(scores.mean(axis=1), axis=0).std() * np.sqrt(k / (k - 1.0))
+    half = special.stdtrit(n - 1, 0.975) / np.sqrt(n)
+    for end, sd in {"": stats["sd"], "_within": inside}.items():
+        stats[f"ci_low{end}"] = stats["mean"] - half * sd
+        stats[f"ci_high{end}"] = stats["mean"] + half * sd
+    return stats.astype({"n": int})
 
 
 def repeated_measures(
@@ -402,16 +400,11 @@ def _design(
         numbers[name] = (x - x.mean()) / (x.std() or 1.0)
     design = Design(len(scores), levels, groups, codes, numbers)
     columns = design.matrix.shape[1]
-    if np.linalg.matrix_rank(design.matrix) < columns:
+    if np.linalg.matrix_rank(design.matrix) < columns or design.df_error < 1:
         raise ValueError(
             f"{'covariates' if covariates else 'between'}: effects of {[*groups, *covariates]} are "
-            "not defined: some combination of groups has no participant, or a covariate follows "
-            "from them"
-        )
-    if design.df_error < 1:
-        raise ValueError(
-            f"subject: {design.n} participants {[*scores.index]} for {columns} parameters leave "
-            "nothing to estimate the error from"
+            "not defined: some combination of groups has no participant, a covariate follows from "
+            f"them, or {columns} parameters are too many for {design.n} participants"
         )
     return design
 
