@@ -82,13 +82,18 @@ class Design:
         """How many groups the factors between subjects make."""
         return math.prod(map(len, self.between.values()))
 
-    @cached_property
-    def matrix(self) -> np.ndarray:
-        """The regressors, shape (n, columns): a mark of each group's subjects, then covariates."""
+    @property
+    def group(self) -> np.ndarray:
+        """The number of every subject's group, the last factor varying fastest."""
         group = np.zeros(self.n, dtype=int)
         for name, levels in self.between.items():
             group = len(levels) * group + self.groups[name]
-        return np.column_stack([np.eye(self.combinations)[group], *self.covariates.values()])
+        return group
+
+    @cached_property
+    def matrix(self) -> np.ndarray:
+        """The regressors, shape (n, columns): a mark of each group's subjects, then covariates."""
+        return np.column_stack([np.eye(self.combinations)[self.group], *self.covariates.values()])
 
     @property
     def df_error(self) -> int:
@@ -237,14 +242,11 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
         df1, df2 = d * columns.shape[1], d * design.df_error
         f = ss * d / df1 / error
         shape = sphericity(covariance, design.df_error, floor, residual.shape[2])
-        gg, hf = shape["epsilon_gg"], shape["epsilon_hf"]
-        test = {
-            "F": f,
-            "df1": df1,
-            "df2": df2,
-            "p": special.fdtrc(df1, df2, f),
-            "p_gg": special.fdtrc(gg * df1, gg * df2, f),
-            "p_hf": special.fdtrc(hf * df1, hf * df2, f),
+        test = {"F": f, "df1": df1, "df2": df2}
+        for end in CORRECTIONS.values():
+            epsilon = shape.get(f"epsilon{end}", 1.0)
+            test[f"p{end}"] = special.fdtrc(epsilon * df1, epsilon * df2, f)
+        test |= {
             "eta2_partial": f * df1 / (f * df1 + df2),
             "ss_effect": ss,
             "ss_error": design.df_error * error,

@@ -74,7 +74,7 @@ def level_pairs(
     Return all pairs of a factor's levels, over all cells or within each level of `at`: level, a, b.
 
     With them come the weights of the coefficients of all cells in the difference of the levels'
-    means, unweighted over other factors, shape (pairs, columns, cells).
+    means, unweighted over other factors, shape (pairs, groups, cells).
     """
     factors = {**design.between, **design.within}
     for name in (factor,) if at is None else (factor, at):
@@ -83,18 +83,16 @@ def level_pairs(
     if factor == at:
         raise ValueError(f"factor and at are both {factor!r}; name two factors")
     sizes = [*map(len, factors.values())]
-    # The number of every cell's level of each factor; marks of the cells of each level.
-    numbers = dict(zip(factors, np.indices(sizes).reshape(len(sizes), -1), strict=True))
-    marks = {name: np.eye(len(factors[name]))[:, numbers[name]] for name in factors}
+    # The number of every cell's level of each factor, and marks of the cells of each level.
+    numbers = np.indices(sizes).reshape(len(sizes), -1)
+    marks = {name: np.eye(max(k) + 1)[:, k] for name, k in zip(factors, numbers, strict=True)}
     means = (1.0 if at is None else marks[at][:, None]) * marks[factor][None]
     means /= means.sum(axis=2, keepdims=True)
-    a, b = np.triu_indices(len(factors[factor]), 1)
+    a, b = np.triu_indices(means.shape[1], 1)
     levels = [np.nan] if at is None else factors[at]
     pairs = [(level, *pair) for level in levels for pair in combinations(factors[factor], 2)]
     weights = (means[:, a] - means[:, b]).reshape(len(pairs), design.combinations, -1)
-    of_covariates = (0, len(design.covariates))
-    table = pd.DataFrame(pairs, columns=["level", "a", "b"], dtype=object)
-    return table, np.pad(weights, ((0, 0), of_covariates, (0, 0)))
+    return pd.DataFrame(pairs, columns=["level", "a", "b"], dtype=object), weights
 
 
 def differences(regression: Regression, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -103,12 +101,13 @@ def differences(regression: Regression, weights: np.ndarray) -> tuple[np.ndarray
     both of shape (studies, weights); NaN where an error is what rounding of the scores can cause.
     """
     design, residual = regression.design, regression.residual
-    root = np.linalg.cholesky(design.inverse / design.n)
+    groups = slice(design.combinations)
+    root = np.linalg.cholesky(design.inverse[groups, groups] / design.n)
     errors = residual @ np.hstack([*(np.swapaxes(weights, 1, 2) @ root)])
     squares = (errors**2).sum(axis=1).reshape(len(residual), len(weights), -1).sum(axis=2)
     se = np.sqrt(squares / design.df_error)
     se = np.where(se * np.sqrt(design.n) > regression.rounding[:, None], se, np.nan)
-    return np.tensordot(regression.coefficients, weights, ((1, 2), (1, 2))), se
+    return np.tensordot(regression.coefficients[:, groups], weights, ((1, 2), (1, 2))), se
 
 
 def compared(
@@ -124,26 +123,17 @@ def compared(
     deviation of a subject's difference.
     """
     tests = estimates_of(difference, se, df, level).rename(columns={"estimate": "mean_difference"})
-    family = tests["p"].groupby(pairs["level"], dropna=False)
+    families = tests["p"].to_numpy().reshape(pairs["level"].nunique(dropna=False), -1)
     scale = se / sd
     low, high = d_z_interval(tests["t"].to_numpy(), df, scale, level)
     return pairs.join(tests).assign(
         df=df,
-        p_bonferroni=family.transform(lambda p: bonferroni(p.to_numpy())),
-        p_holm=family.transform(lambda p: holm(p.to_numpy())),
+        p_bonferroni=bonferroni(families).ravel(),
+        p_holm=holm(families).ravel(),
         d_z=tests["t"] * scale,
         d_z_low=low,
         d_z_high=high,
     )
-
-
-def friedman(values: np.ndarray) -> pd.DataFrame:
-    """Test whether the conditions' mean ranks differ; `values` has shape (n, k)."""
-    import pingouin
-
-    names = {"Q": "chi2", "ddof1": "df", "p_unc": "p", "W": "kendall_w"}
-    test = pingouin.friedman(pd.DataFrame(values))  # a wide table: a row per subject
-    return test[[*names]].rename(columns=names).reset_index(drop=True)
 
 
 def of_pairs(scores: pd.DataFrame, test: Callable[..., dict]) -> pd.DataFrame:

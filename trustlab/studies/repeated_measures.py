@@ -9,13 +9,12 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import finite_array, one_of, open_unit
+from trustlab.models.checks import one_of, open_unit
 from trustlab.models.display import axes_or_new
 from trustlab.studies import pairs
 from trustlab.studies.anova import (
     CORRECTIONS,
     Design,
-    Regression,
     effect_name,
     effects,
     partial_eta_interval,
@@ -30,6 +29,7 @@ from trustlab.studies.table import (
     mark,
     names_of,
     numbers_of,
+    origin_of,
     read_cells,
     read_factors,
 )
@@ -112,9 +112,8 @@ class RepeatedMeasures(Tested):
             two 95 % intervals of the mean: ci_low and ci_high between subjects, ci_low_within and
             ci_high_within after Cousineau and Morey.
         """
-        groups = [*self.design.groups.values()]
-        people: Any = self.scores.groupby(groups) if groups else [((), self.scores)]
-        stats = pd.concat([describe(part) for _, part in people], ignore_index=True)
+        people = self.scores.groupby(self.design.group)
+        stats = pd.concat([describe(scores) for _, scores in people], ignore_index=True)
         names = ["condition"] if self.one_way else [*self.between, *self.within]
         cells = [*product(*self.between.values(), *self.within.values())]
         return labelled(pd.DataFrame(cells, columns=names, dtype=object).join(stats), self.origin)
@@ -169,26 +168,22 @@ class RepeatedMeasures(Tested):
         if factor is None and len(self.within) == 1:
             factor = next(iter(self.within))
         names, weights = pairs.level_pairs(self.design, factor, at)
-        regression = self._regression()
+        regression = regress(self.scores.to_numpy()[None], self.design)
         (difference,), (se,) = pairs.differences(regression, weights)
-        sd = np.sqrt(np.diagonal(regression.covariance(weights.sum(axis=1).T)[0]))
+        sd = pairs.standard_errors(weights.sum(axis=1), self.residual_covariance())
         sd = np.where(factor in self.between, np.nan, sd)
         table = pairs.compared(names, difference, se, self.design.df_error, sd, level)
         table = table.drop(columns="se")
         if self.one_way:
-            sd = self.scores.std().to_numpy()
-            a, b = np.triu_indices(self.k, 1)
-            both = 0.5 * (sd[a] + sd[b])
-            d_av = table["mean_difference"] / np.where(both > 0.0, both, np.nan)
+            both = 0.5 * np.abs(weights[:, 0]) @ self.scores.std()
+            d_av = difference / np.where(both > 0.0, both, np.nan)
             table = table.drop(columns="level").assign(d_av=d_av)
         return labelled(table, self.origin)
 
-    def _regression(self) -> Regression:
-        return regress(self.scores.to_numpy()[None], self.design)
-
     def residual_covariance(self) -> np.ndarray:
         """Return the covariance of the cells, given the groups."""
-        return self._regression().covariance(np.eye(self.k))[0]
+        regression = regress(self.scores.to_numpy()[None], self.design)
+        return regression.covariance(np.eye(self.k))[0]
 
     def normality(self) -> pd.DataFrame:
         """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
@@ -198,7 +193,12 @@ class RepeatedMeasures(Tested):
     def friedman(self) -> pd.DataFrame:
         """Return Friedman's rank test of one factor: columns chi2, df, p, kendall_w."""
         self._refuse_several_factors("friedman()")
-        return labelled(pairs.friedman(self.scores.to_numpy()), self.origin)
+        import pingouin
+
+        names = {"Q": "chi2", "ddof1": "df", "p_unc": "p", "W": "kendall_w"}
+        # A wide table: a row per subject.
+        test = pingouin.friedman(pd.DataFrame(self.scores.to_numpy()))[[*names]]
+        return labelled(test.rename(columns=names).reset_index(drop=True), self.origin)
 
     def assumptions(self) -> pd.DataFrame:
         """
@@ -210,16 +210,15 @@ class RepeatedMeasures(Tested):
             Columns p_shapiro_least (of all pairs' differences), pairs_not_normal (p below alpha
             after Holm's adjustment), p_anova (corrected), friedman_chi2, p_friedman, kendall_w.
         """
-        normality, ranks = self.normality()["p"], self.friedman().loc[0]
+        p = self.normality()["p"]
         row = {
-            "p_shapiro_least": normality.min(),
-            "pairs_not_normal": int((pairs.holm(normality.to_numpy()) < self.alpha).sum()),
+            "p_shapiro_least": p.min(),
+            "pairs_not_normal": (pairs.holm(p.to_numpy()) < self.alpha).sum(),
             "p_anova": self.p_corrected,
-            "friedman_chi2": ranks["chi2"],
-            "p_friedman": ranks["p"],
-            "kendall_w": ranks["kendall_w"],
         }
-        return labelled(pd.DataFrame([row]), self.origin)
+        ranks = self.friedman().drop(columns="df")
+        ranks = ranks.rename(columns={"chi2": "friedman_chi2", "p": "p_friedman"})
+        return labelled(pd.DataFrame([row]).join(ranks), self.origin)
 
     def apa(self, adjust: str = "holm") -> str:
         """
@@ -364,17 +363,14 @@ def repeated_measures(
     scores, excluded = complete_scores(cells, dv, missing, remedy)
     design = _design(table, scores, subject, levels, groups, names_of(covariates))
     tests = effects(scores.to_numpy()[None], design).loc[0].reset_index()
-    origin = scores.attrs.get("origin", "")
-    rows = [
-        {"dv": dv, "within": effect_name(levels), "effect": row.pop("effect")}
-        | {"n": design.n, "k": scores.shape[1]}
-        | row
-        | _corrected(row, design, correction)
-        | {"alpha": alpha, "excluded": len(excluded), "origin": origin}
-        for row in tests.to_dict("records")
-    ]
-    table = labelled(pd.DataFrame(rows), origin)
-    return RepeatedMeasures(scores, design, table, excluded, correction)
+    tests = tests.assign(**_corrected(tests, design, correction), alpha=alpha)
+    origin = origin_of(frame)
+    tests = tests.assign(excluded=len(excluded), origin=origin)
+    tests.insert(0, "dv", [dv] * len(tests))
+    tests.insert(1, "within", effect_name(levels))
+    tests.insert(3, "n", design.n)
+    tests.insert(4, "k", scores.shape[1])
+    return RepeatedMeasures(scores, design, labelled(tests, origin), excluded, correction)
 
 
 def _design(
@@ -396,7 +392,7 @@ def _design(
                 f"participants, got {people[name].tolist()}"
             )
     for name in covariates:
-        x = finite_array("covariates", numbers_of(people[name], "covariates"))
+        x = numbers_of(people[name], "covariates")
         numbers[name] = (x - x.mean()) / (x.std() or 1.0)
     design = Design(len(scores), levels, groups, codes, numbers)
     columns = design.matrix.shape[1]
@@ -409,23 +405,22 @@ def _design(
     return design
 
 
-def _corrected(test: dict, design: Design, correction: str) -> dict[str, Any]:
-    """Return a test with the correction that applies, and the interval of partial η²."""
-    d = test["df2"] // design.df_error
-    if d == 1:
-        correction = "none"  # sphericity always holds
+def _corrected(tests: pd.DataFrame, design: Design, correction: str) -> dict[str, Any]:
+    """Return columns of the correction that applies, and the interval of partial η²."""
     end = CORRECTIONS[correction]
-    epsilon = test.get(f"epsilon{end}", 1.0)
-    df1, df2 = test["df1"] * epsilon, test["df2"] * epsilon
-    interval = partial_eta_interval(test["F"], df1, df2)
+    epsilon = tests.get(f"epsilon{end}", 1.0)
+    df1, df2 = tests["df1"] * epsilon, tests["df2"] * epsilon
+    d = tests["df2"] // design.df_error
+    ends = zip(tests["F"], df1, df2, strict=True)
+    strengths = np.array([partial_eta_interval(*numbers)[2:] for numbers in ends]).T
     # λ = n d ε η²/(1 − η²) in the population, for d contrasts within subjects.
     total = df2 + epsilon * (design.n - design.df_error) * d
-    low, high = interval.noncentrality_low, interval.noncentrality_high
+    low, high = strengths / (strengths + total.to_numpy())
     return {
-        "correction": correction,
+        "correction": np.where(d > 1, correction, "none"),  # of one, sphericity always holds
         "df1_corrected": df1,
         "df2_corrected": df2,
-        "p_corrected": test[f"p{end}"],
-        "eta2_partial_low": low / (low + total),
-        "eta2_partial_high": high / (high + total),
+        "p_corrected": tests[f"p{end}"],
+        "eta2_partial_low": low,
+        "eta2_partial_high": high,
     }
