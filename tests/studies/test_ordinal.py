@@ -1,7 +1,8 @@
 """
 Cumulative-link mixed models. Oracles: clmm of R's ordinal (reference/ordinal_model.R)
 and, for two categories, glmer of lme4 (reference/logistic_model.R) on published data and as its
-manual prints it; the likelihood's integral by another quadrature, logistic regression, simulation.
+manual prints it; the likelihood's integral by another quadrature, logistic regression, simulation;
+rejections counted by clmm on studies that R drew (reference/ordinal_power.R).
 """
 
 import time
@@ -18,6 +19,8 @@ from trustlab.studies.ordinal import Cumulative
 R = reference("ordinal_model")
 BINARY = reference("logistic_model")["sets"]
 WINE = pd.DataFrame(R["wine"])
+POWER = reference("ordinal_power")
+BELOW = special.logit(np.cumsum(POWER["first"])[:-1])
 THRESHOLDS = ("thresholds", "thresholds_se")
 
 
@@ -225,3 +228,54 @@ def test_ratings_that_cannot_be_fitted_are_refused(rating, message):
 def test_factors_that_cannot_be_fitted_are_refused(factors, message):
     with pytest.raises(ValueError, match=message):
         tl.ordinal_model(ratings(), "trust", subject="person", **factors)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", POWER["cases"], ids=str)
+def test_power_is_the_share_of_rejections_in_r(case):
+    """
+    Two binomial counts of one probability, within four standard errors. A study whose likelihood
+    has no maximum is refused here; clmm stops somewhere.
+    """
+    rng = np.random.default_rng(3)
+    n, count, rejected, refused = case["n"], 300, 0, 0
+    frame = pd.DataFrame({"person": np.repeat(np.arange(n), 2), "condition": ["a", "b"] * n})
+    for _ in range(count):
+        answers = case["sd"] * np.repeat(rng.standard_normal(n), 2) + rng.logistic(size=2 * n)
+        answers += np.tile([0.0, case["shift"]], n)
+        frame["rating"] = np.searchsorted(BELOW, answers)
+        try:
+            model = tl.ordinal_model(frame, "rating", "condition", "person")
+        except ValueError as error:
+            if "the likelihood has no maximum" not in str(error):
+                raise
+            refused += 1
+            continue
+        rejected += model.table()["p_chi2"].item() < 0.05
+    assert refused <= 0.01 * count
+    power, other = rejected / (count - refused), case["rejected"] / POWER["replicates"]
+    middle = 0.5 * (power + other)
+    error = np.sqrt(middle * (1.0 - middle) * (1.0 / count + 1.0 / POWER["replicates"]))
+    assert abs(power - other) <= 4.0 * error
+
+
+@pytest.mark.long
+def test_intervals_of_probabilities_cover_as_they_say():
+    """30 people, two conditions, two ratings in each; the truth is an integral over people."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(80)
+    sd, shifts, studies = 1.2, np.array([0.0, 0.8]), 150
+    below = special.expit(BELOW[:, None] - shifts[:, None, None] - sd * nodes)
+    truth = np.diff(below @ weights / weights.sum(), prepend=0.0, append=1.0)
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame({"person": np.repeat(range(30), 4), "condition": [0, 0, 1, 1] * 30})
+    hits = []
+    for _ in range(studies):
+        answers = sd * rng.standard_normal(30)[frame["person"]] + shifts[frame["condition"]]
+        frame["rating"] = np.searchsorted(BELOW, answers + rng.logistic(size=120))
+        cells = tl.ordinal_model(frame, "rating", "condition", "person").probabilities()
+        right = truth[cells["condition"].astype(int), cells["category"].astype(int)]
+        hits.extend((cells["ci_low"] <= right) & (right <= cells["ci_high"]))
+    share = np.mean(hits)
+    # Ten intervals of a study depend on each other; studies do not.
+    low, high = stats.binom.ppf([1e-4, 1.0 - 1e-4], studies, 0.95) / studies
+    assert low <= share <= high
