@@ -367,7 +367,8 @@ def formula_model(formula: str, data: pd.DataFrame, groups: Hashable) -> Formula
     y, regressors, columns = matrices_of(formula, frame)
     x = regressors.to_numpy()
     log_likelihood = cache(lambda kept: -0.5 * intercept_fit(y, x[:, kept], people).deviance)
-    tests = likelihood_ratios(columns, x.shape[1], log_likelihood)
+    every = tuple(range(x.shape[1]))
+    tests = likelihood_ratios(columns, every, log_likelihood)
     fit = intercept_fit(y, x, people, restricted=True)
     coefficients = estimates_of(fit.beta, np.sqrt(fit.residual * np.diag(fit.inverse)))
     coefficients.insert(0, "name", regressors.columns)
@@ -379,7 +380,7 @@ def formula_model(formula: str, data: pd.DataFrame, groups: Hashable) -> Formula
         tests=labelled(tests, origin_of(data)),
         coefficients=labelled(coefficients, origin_of(data)),
         variances=pd.Series(variances),
-        log_likelihood=log_likelihood(tuple(range(x.shape[1]))),
+        log_likelihood=log_likelihood(every),
         singular=fit.ratio == 0.0,
     )
 
@@ -414,16 +415,18 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
 
 
 def likelihood_ratios(
-    terms: dict[str, list[int]], count: int, log_likelihood: Callable[[tuple[int, ...]], float]
+    terms: dict[str, list[int]],
+    every: tuple[int, ...],
+    log_likelihood: Callable[[tuple[int, ...]], float],
 ) -> pd.DataFrame:
     """
     Return the test of every term against the model without it and the interactions that contain it,
-    by the greatest log-likelihood of models with some of so many columns.
+    by the greatest log-likelihood of models with some of all columns.
     """
     rows = []
     for name, own in terms.items():
         above = [terms[term] for term in terms if {*name.split(":")} < {*term.split(":")}]
-        full = tuple(column for column in range(count) if column not in chain(*above))
+        full = tuple(column for column in every if column not in chain(*above))
         reduced = tuple(column for column in full if column not in own)
         chi2 = max(2.0 * (log_likelihood(full) - log_likelihood(reduced)), 0.0)
         rows.append((name, chi2, len(own), float(special.chdtrc(len(own), chi2))))

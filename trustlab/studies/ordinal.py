@@ -95,27 +95,30 @@ class Cumulative:
             inside = (low < newton) & (newton < high)
             mode = np.where(going, np.where(inside, newton, 0.5 * (low + high)), mode)
 
-    def maximum(self, z: np.ndarray) -> np.ndarray:
-        """Return the point of the greatest likelihood, given regressors of mean 0 and SD 1."""
-        count = z.shape[1]
+    def maximum(self, x: np.ndarray) -> np.ndarray:
+        """Return the point of the greatest likelihood."""
+        count, mean, scale = x.shape[1], x.mean(axis=0), x.std(axis=0)
+        z = (x - mean) / scale
 
         def ordered(free: np.ndarray) -> np.ndarray:
             # The search goes by logarithms of the distances between thresholds.
             first, gaps, sd = np.split(free, [count + 1, -1])
             gaps = np.exp(np.minimum(gaps, 2.0 * FAR))
-            return np.concatenate([first, first[-1] + np.cumsum(gaps), sd])
+            return np.concatenate([first, first[-1] + np.cumsum(gaps), np.abs(sd)])
 
         thresholds = special.logit(np.cumsum(np.bincount(self.category))[:-1] / len(z))
         start = [*np.zeros(count), thresholds[0], *np.log(np.diff(thresholds)), 0.7]
         search = {"method": "BFGS", "jac": "3-point", "options": {"gtol": 1e-6}}
         found = minimize(lambda free: -self.log_likelihood(ordered(free), z), start, **search)
-        point = ordered(found.x)
-        if np.abs([*(z @ point[:count]), *point[count:]]).max() > FAR:
+        beta, rest = np.split(ordered(found.x), [count])
+        if np.abs([*(z @ beta), *rest]).max() > FAR:
             raise ValueError(
                 "dv: the likelihood has no maximum: some effect separates low from high ratings, "
                 "or people hardly vary; leave the effect or the people out"
             )
-        return point
+        beta = beta / scale
+        rest[:-1] += mean @ beta
+        return np.concatenate([beta, rest])
 
     def covariance(self, point: np.ndarray, x: np.ndarray) -> np.ndarray:
         """
@@ -310,30 +313,25 @@ def ordinal_model(
     formula = " + ".join([f"`{dv}` ~ {crossed}", *(f"`{name}`" for name in covariates)])
     data[dv] = answers
     _, regressors, terms = matrices_of(formula, data)
-    # Thresholds take the place of the intercept.
-    regressors = regressors.drop(columns="Intercept")
-    terms = {name: [column - 1 for column in columns] for name, columns in terms.items()}
-    count, x = regressors.shape[1], regressors.to_numpy()
-    mean, scale = x.mean(axis=0), x.std(axis=0)
-    z = (x - mean) / scale
+    x = regressors.to_numpy()
+    # Thresholds take the place of the intercept, the first column.
+    every = tuple(range(1, x.shape[1]))
     model = Cumulative(answers, codes, whole_number("points", points, most=100))
-    maximum = cache(lambda kept: model.maximum(z[:, kept]))
+    maximum = cache(lambda kept: model.maximum(x[:, kept]))
 
     def log_likelihood(kept: tuple[int, ...]) -> float:
-        return model.log_likelihood(maximum(kept), z[:, kept])
+        return model.log_likelihood(maximum(kept), x[:, kept])
 
-    tests = likelihood_ratios(terms, count, log_likelihood)
-    cells = regressors.groupby([data[name] for name in factors], observed=True).mean()
+    tests = likelihood_ratios(terms, every, log_likelihood)
+    effects = regressors.columns[1:]
+    cells = regressors[effects].groupby([data[name] for name in factors], observed=True).mean()
     for name in covariates:
-        cells.iloc[:, terms[name]] = mean[terms[name]]
-    every = tuple(range(count))
-    beta, cuts, sd = np.split(maximum(every), [count, -1])
-    beta = beta / scale
-    point = np.concatenate([beta, cuts + mean @ beta, np.abs(sd)])
-    covariance = model.covariance(point, x)
+        cells[regressors.columns[terms[name]]] = x[:, terms[name]].mean(axis=0)
+    point = maximum(every)
+    covariance = model.covariance(point, x[:, every])
     coefficients = estimates_of(point[:-1], np.sqrt(np.diag(covariance)))
     thresholds = [f"{low} | {high}" for low, high in pairwise(categories)]
-    coefficients.insert(0, "name", [*regressors, *thresholds])
+    coefficients.insert(0, "name", [*effects, *thresholds])
     kind = "logistic" if len(categories) == 2 else "cumulative-link"
     return OrdinalModel(
         title=f"A {kind} mixed model of {dv} with random intercepts",
