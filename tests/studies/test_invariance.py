@@ -117,6 +117,21 @@ def test_types_of_columns_do_not_matter(name, labels):
     pd.testing.assert_frame_equal(numbers(name, other), numbers(name, frame), check_dtype=False)
 
 
+def test_labels_may_be_true_and_false():
+    frame = table(3, several=False).query("mode < 'c'")
+    truths = frame.assign(mode=frame["mode"] == "b")
+    for view in ("descriptives", "pairs", "normality"):
+        own, other = (getattr(tl.repeated_measures(f, **ONE), view)() for f in (truths, frame))
+        pd.testing.assert_frame_equal(own.iloc[:, 2:], other.iloc[:, 2:])
+
+
+@pytest.mark.parametrize("name", ANALYSES)
+def test_an_index_may_be_called_like_a_column(name):
+    frame = table(3, several(name))
+    other = frame.set_index(["person", "mode"], drop=False)
+    pd.testing.assert_frame_equal(numbers(name, other), numbers(name, frame))
+
+
 @pytest.mark.parametrize("name", ANALYSES)
 def test_one_score_matters(name):
     frame = table(1, several(name))

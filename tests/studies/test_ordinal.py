@@ -148,31 +148,24 @@ def test_likelihood_is_the_integral():
     assert found == pytest.approx(np.log(exact) - 45.0, abs=1e-9)
 
 
-def test_probabilities_are_shares_of_many_people(wine):
-    """Drawn from the fitted model, people rate as often as it says."""
+def test_answers_drawn_from_the_model_are_as_it_says(wine):
+    """Of many people, the shares of ratings; of two answers of the median person, the higher."""
     cells = wine.probabilities()
     sums = cells.groupby(["temp", "contact"], observed=True)["probability"].sum()
     np.testing.assert_allclose(sums, 1.0, atol=1e-12)
     inside = (cells["ci_low"] < cells["probability"]) & (cells["probability"] < cells["ci_high"])
     assert inside.all()
-    rng = np.random.default_rng(0)
-    people = wine.random_effects()["sd"].item() * rng.standard_normal(200_000)
-    eta = wine.coefficients_table()["estimate"][:3].sum() + people + rng.logistic(size=people.size)
-    rating = np.searchsorted(wine.coefficients_table()["estimate"][3:], eta)
-    last = cells.tail(5)["probability"]
-    np.testing.assert_allclose(np.bincount(rating) / people.size, last, atol=0.004)
-
-
-def test_effects_are_odds_and_superiority(wine):
-    """Of two answers of the median person, drawn many times, the share that is higher."""
-    pair = wine.pairs().set_index(["a", "b"]).loc[("cold × no", "warm × yes")]
-    assert pair["odds_ratio"] == pytest.approx(
-        np.exp(-wine.coefficients_table()["estimate"][:3].sum())
+    rng, draws = np.random.default_rng(0), 200_000
+    effects, cuts = np.split(wine.coefficients_table()["estimate"].to_numpy(), [3])
+    people = wine.random_effects()["sd"].item() * rng.standard_normal(draws)
+    rating = np.searchsorted(cuts, effects.sum() + people + rng.logistic(size=draws))
+    np.testing.assert_allclose(
+        np.bincount(rating) / draws, cells.tail(5)["probability"], atol=0.004
     )
-    rng = np.random.default_rng(1)
-    cuts = wine.coefficients_table()["estimate"][3:].to_numpy()
-    a = np.searchsorted(cuts, rng.logistic(size=200_000))
-    b = np.searchsorted(cuts, rng.logistic(size=200_000) - pair["estimate"])
+    pair = wine.pairs().set_index(["a", "b"]).loc[("cold × no", "warm × yes")]
+    assert pair["odds_ratio"] == pytest.approx(np.exp(-effects.sum()))
+    a = np.searchsorted(cuts, rng.logistic(size=draws))
+    b = np.searchsorted(cuts, rng.logistic(size=draws) + effects.sum())
     share = (a > b).mean() + 0.5 * (a == b).mean()
     assert pair["superiority"] == pytest.approx(share, abs=0.004)
 

@@ -147,16 +147,14 @@ def test_plot():
     plt.close("all")
 
 
-def test_the_label_survives_tables_put_together():
-    first, second = drawn(), drawn()
-    second["person"] += 100
-    for marks, said in (
-        ((True, True), "synthetic data"),
-        ((True, np.nan), "partly synthetic data"),  # no mark
-        ((False, False), ""),
-    ):
-        both = [first.assign(synthetic=marks[0]), second.assign(synthetic=marks[1])]
-        assert analysed(pd.concat(both)).table()["origin"].tolist() == [said]
+@pytest.mark.parametrize(
+    ("second", "said"),
+    [(True, "synthetic data"), (np.nan, "partly synthetic data")],  # no mark is NaN
+)
+def test_the_label_survives_tables_put_together(second, said):
+    frame = drawn().assign(synthetic=np.resize([True, True, True, second, second, second], 36))
+    assert analysed(frame).table()["origin"].tolist() == [said]
+    assert analysed(frame.assign(synthetic=False)).origin == ""
 
 
 @pytest.mark.parametrize(

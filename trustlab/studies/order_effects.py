@@ -132,7 +132,7 @@ def order_effects(
     n, k = scores.shape
     if list(places) != list(range(1, k + 1)):
         raise ValueError(f"position: column {position!r} must hold 1 to {k}, got {list(places)}")
-    rows = table.sort_values([subject, position])
+    rows = table.reset_index(drop=True).sort_values([subject, position])
     codes = rows[condition].cat.codes.to_numpy().reshape(n, k)
     sequence = np.unique(codes, axis=0, return_inverse=True)[1]
     values = scores.to_numpy()

@@ -112,8 +112,10 @@ class RepeatedMeasures(Tested):
             two 95 % intervals of the mean: ci_low and ci_high between subjects, ci_low_within and
             ci_high_within after Cousineau and Morey.
         """
-        people = self.scores.groupby(self.design.group)
-        stats = pd.concat([describe(scores) for _, scores in people], ignore_index=True)
+        # Without their names: True and False would choose columns.
+        scores = pd.DataFrame(self.scores.to_numpy())
+        people = scores.groupby(self.design.group)
+        stats = pd.concat([describe(group) for _, group in people], ignore_index=True)
         names = ["condition"] if self.one_way else [*self.between, *self.within]
         cells = [*product(*self.between.values(), *self.within.values())]
         return labelled(pd.DataFrame(cells, columns=names, dtype=object).join(stats), self.origin)
