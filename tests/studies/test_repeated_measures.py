@@ -93,8 +93,11 @@ def test_the_correction():
 
 
 def test_what_has_no_spread_is_said():
-    frame = drawn()
-    wide = frame["score"].to_numpy().reshape(12, 3).copy()
+    wide = drawn()["score"].to_numpy().reshape(12, 3).copy()
+    wide[:, :2] = 0.0
+    ranks = analysed(long(wide)).pairs(method="wilcoxon")
+    assert ranks["method"].tolist() == ["not defined", "exact", "exact"]
+    wide[:, 0] = wide[:, 2] ** 2
     wide[:, 1] = wide[:, 0] + 2.0
     result = analysed(long(wide))
     assert np.isnan(result.pairs()["t"]).tolist() == [True, False, False]

@@ -151,7 +151,8 @@ def signed_ranks(a: np.ndarray, b: np.ndarray) -> dict[str, Any]:
     out; exact below 50 subjects without ties or zeros.
     """
     # Ranked to twelve digits of the largest score: 0.3 − 0.2 and 0.2 − 0.1 are a tie.
-    grid = 10.0 ** (np.ceil(np.log10(max(np.abs(a).max(), np.abs(b).max()))) - 12.0)
+    largest = max(np.abs(a).max(), np.abs(b).max()) or 1.0
+    grid = 10.0 ** (np.ceil(np.log10(largest)) - 12.0)
     steps = np.round((a - b) / grid)
     steps = steps[steps != 0.0]
     ranks = stats.rankdata(np.abs(steps))

@@ -172,7 +172,7 @@ class RepeatedMeasures(Tested):
         names, weights = pairs.level_pairs(self.design, factor, at)
         regression = regress(self.scores.to_numpy()[None], self.design)
         (difference,), (se,) = pairs.differences(regression, weights)
-        sd = pairs.standard_errors(weights.sum(axis=1), self.residual_covariance())
+        sd = np.sqrt(np.diagonal(regression.covariance(weights.sum(axis=1).T)[0]))
         sd = np.where(factor in self.between, np.nan, sd)
         table = pairs.compared(names, difference, se, self.design.df_error, sd, level)
         table = table.drop(columns="se")
