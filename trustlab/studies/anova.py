@@ -364,16 +364,16 @@ def noncentrality_limit(f: float, df1: float, df2: float, probability: float) ->
     """
     # F′ df1/df2 = χ′²(λ)/χ²(df2), where χ′²(λ) = λ + df1 to within √λ: only the denominator is left
     # to vary.
-    large = df1 * (f * float(special.chdtri(df2, probability)) / df2 - 1.0)
+    large = df1 * (f * special.chdtri(df2, probability) / df2 - 1.0)
     if large > _LARGE:
         return large
 
     def excess(noncentrality: float) -> float:
-        return float(special.ncfdtr(df1, df2, noncentrality, f)) - probability
+        return special.ncfdtr(df1, df2, noncentrality, f) - probability
 
     if excess(0.0) <= 0.0:
         return 0.0
     high = max(1.0, 2.0 * df1 * f)
     while excess(high) > 0.0:
         high *= 2.0
-    return float(brentq(excess, 0.0, high, xtol=1e-12 * high, rtol=1e-13, maxiter=500))
+    return brentq(excess, 0.0, high, xtol=1e-12 * high, rtol=1e-13, maxiter=500)
