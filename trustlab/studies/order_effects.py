@@ -125,8 +125,8 @@ def order_effects(
     of_class("frame", frame, pd.DataFrame, "with a row per subject and position")
     for argument, name in {"position": position, "condition": condition}.items():
         label_column(frame, argument, name)
-    names = None if order is None else {condition: order}
-    table, levels, _ = read_factors(frame, dv, [position, condition], subject, order=names)
+    factors = [position, condition]
+    table, levels, _ = read_factors(frame, dv, factors, subject, order={condition: order})
     labels, places = levels[condition], levels[position]
     scores = complete_scores(read_cells(table, {position: places}, dv, subject), dv)[0]
     n, k = scores.shape
@@ -199,11 +199,11 @@ def _differences(y: np.ndarray, parts: dict[str, np.ndarray], design: Design) ->
     error, df = _residual(y, parts)
     x = np.column_stack([*parts.values()])
     pairs, weights = level_pairs(design, *design.within)
-    weights = np.eye(x.shape[1])[: weights.shape[2]].T @ weights[:, 0].T
-    weighted = np.linalg.pinv(x, 1e-12).T @ weights
+    weights = np.pad(weights[:, 0], ((0, 0), (0, x.shape[1] - weights.shape[2])))
+    weighted = weights @ np.linalg.pinv(x, 1e-12)
     # Estimable weights are combinations of contrasts of the regressors.
-    estimable = np.isclose(x.T @ weighted, weights, atol=1e-8).all(axis=0)
-    difference = np.where(estimable, y @ weighted, np.nan)
-    se = np.sqrt(error / df) * np.linalg.norm(weighted, axis=0)
+    estimable = np.isclose(weighted @ x, weights, atol=1e-8).all(axis=1)
+    difference = np.where(estimable, weighted @ y, np.nan)
+    se = np.sqrt(error / df) * np.linalg.norm(weighted, axis=1)
     table = compared(pairs, difference, se, df, np.nan)
     return table[["a", "b", "mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"]]
