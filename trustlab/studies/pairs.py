@@ -138,9 +138,9 @@ def compared(
 
 def of_pairs(scores: pd.DataFrame, test: Callable[..., dict]) -> pd.DataFrame:
     """Return a test of every pair of conditions, a row each: a, b and what it returns."""
-    values = {condition: column.to_numpy() for condition, column in scores.items()}
     rows = [
-        {"a": a, "b": b} | test(values[a], values[b]) for a, b in combinations(scores.columns, 2)
+        {"a": a, "b": b} | test(x.to_numpy(), y.to_numpy())
+        for (a, x), (b, y) in combinations(scores.items(), 2)
     ]
     return pd.DataFrame(rows).astype({"a": object, "b": object})
 
@@ -163,9 +163,13 @@ def signed_ranks(a: np.ndarray, b: np.ndarray) -> dict[str, Any]:
         kind = "exact" if exact else "asymptotic"
         v = ranks[steps > 0.0].sum()
         p = stats.wilcoxon(steps, correction=not exact, method=kind).pvalue
-    biserial = 2.0 * v / (ranks.sum() or 1.0) - 1.0
-    test = {"V": v, "p": p, "method": method, "rank_biserial": biserial}
-    return test | {"median_difference": np.median(a - b)}
+    return {
+        "V": v,
+        "p": p,
+        "method": method,
+        "rank_biserial": 2.0 * v / ranks.sum() - 1.0,
+        "median_difference": np.median(a - b),
+    }
 
 
 def normality(a: np.ndarray, b: np.ndarray) -> dict[str, float]:
