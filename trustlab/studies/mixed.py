@@ -363,7 +363,7 @@ def formula_model(formula: str, data: pd.DataFrame, groups: Hashable) -> Formula
     score, *terms = of_class("formula", formula, str).split("~")
     if len(terms) != 1 or not score.strip():
         raise ValueError(f"formula must be “score ~ terms”, got {formula!r}")
-    people = pd.factorize(label_column(frame, "groups", groups))[0]
+    people, names = pd.factorize(label_column(frame, "groups", groups))
     y, regressors, columns = matrices_of(formula, frame)
     x = regressors.to_numpy()
     log_likelihood = cache(lambda kept: -0.5 * intercept_fit(y, x[:, kept], people).deviance)
@@ -375,7 +375,7 @@ def formula_model(formula: str, data: pd.DataFrame, groups: Hashable) -> Formula
     variances = {"Intercept": fit.ratio * fit.residual, "residual": fit.residual}
     return FormulaModel(
         title=f"A mixed model, {formula}, with random intercepts by {groups}",
-        n=people.max() + 1,
+        n=len(names),
         observations=y.size,
         tests=labelled(tests, origin_of(data)),
         coefficients=labelled(coefficients, origin_of(data)),

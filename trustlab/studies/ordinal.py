@@ -301,8 +301,8 @@ def ordinal_model(
     """
     table, inside, groups = read_factors(frame, dv, within, subject, between, order)
     data = table.reset_index(drop=True)
-    codes = data[subject].cat.codes.to_numpy()
-    n = codes.max() + 1
+    people = data[subject].cat
+    n = len(people.categories)
     if n < 3:
         raise ValueError(f"subject: column {subject!r} has {n} people; at least 3 needed")
     answers, categories = _categories(label_column(data, "dv", dv))
@@ -316,7 +316,9 @@ def ordinal_model(
     x = regressors.to_numpy()
     # Thresholds take the place of the intercept, the first column.
     every = tuple(range(1, x.shape[1]))
-    model = Cumulative(answers, codes, whole_number("points", points, most=100))
+    model = Cumulative(
+        answers, people.codes.to_numpy(int), whole_number("points", points, most=100)
+    )
     maximum = cache(lambda kept: model.maximum(x[:, kept]))
 
     def log_likelihood(kept: tuple[int, ...]) -> float:
