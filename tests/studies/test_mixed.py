@@ -191,6 +191,14 @@ def test_a_missing_label_is_not_the_reference_level(kind):
         tl.ordinal_model(frame, "rating", "mode", "person")
 
 
+def test_an_infinite_number_is_named_whatever_its_column_is_called():
+    """One called score was taken for the score, which is finite."""
+    frame = drawn(12, mode="abc").rename(columns={"score": "y"})
+    frame["score"] = np.where(np.arange(36) == 4, np.inf, np.arange(36.0))
+    with pytest.raises(ValueError, match="1 rows have a missing or infinite value, row 4 first"):
+        tl.formula_model("y ~ score", frame, groups="person")
+
+
 @pytest.mark.parametrize("formula", ["~ mode", " ~ mode", "score", "a ~ b ~ c"])
 def test_a_formula_has_a_score_and_terms(formula):
     with pytest.raises(ValueError, match="formula must be “score ~ terms”"):

@@ -398,7 +398,8 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
     score, x = (pd.DataFrame(part, dtype=float) for part in (matrices.lhs, matrices.rhs))
     if score.shape[1] != 1:
         raise ValueError(f"formula {formula!r}: the score must be one column of numbers")
-    whole = np.isfinite(x.assign(score=score)).all(axis=1).reindex(frame.index, fill_value=False)
+    whole = np.isfinite(pd.concat([score, x], axis=1)).all(axis=1)
+    whole = whole.reindex(frame.index, fill_value=False)
     if not whole.all():
         raise ValueError(
             f"data: {(~whole).sum()} rows have a missing or infinite value, row {whole.idxmin()} "
