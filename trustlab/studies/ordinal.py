@@ -40,6 +40,7 @@ FAR = 15.0
 # SD below which people do not vary.
 SINGULAR = 1e-3
 STEP = 1e-3  # of differences
+gauss_hermite = cache(np.polynomial.hermite_e.hermegauss)
 
 
 class Cumulative:
@@ -58,7 +59,7 @@ class Cumulative:
         self.category, self.people = category, people
         # Times rows, the sums over each person's.
         self.sums = sparse.csr_array((np.ones(people.size), (people, np.arange(people.size))))
-        self.nodes, mass = np.polynomial.hermite_e.hermegauss(points)
+        self.nodes, mass = gauss_hermite(points)
         self.log_mass = np.log(mass / mass.sum()) + 0.5 * self.nodes**2
 
     def log_likelihood(self, point: np.ndarray, x: np.ndarray) -> float:
@@ -174,7 +175,7 @@ class OrdinalModel(FormulaModel):
         """Return how likely every category is in every cell, over people of an SD."""
         x = self.cells.to_numpy()
         beta, thresholds = np.split(point, [x.shape[1]])
-        nodes, mass = np.polynomial.hermite_e.hermegauss(60)
+        nodes, mass = gauss_hermite(60)
         logits = thresholds[:, None] - (x @ beta)[:, None, None] - sd * nodes
         below = special.expit(logits) @ (mass / mass.sum())
         return np.diff(below, axis=1, prepend=0.0, append=1.0)

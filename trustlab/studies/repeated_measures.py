@@ -112,10 +112,9 @@ class RepeatedMeasures(Tested):
             two 95 % intervals of the mean: ci_low and ci_high between subjects, ci_low_within and
             ci_high_within after Cousineau and Morey.
         """
-        # Without their names: True and False would choose columns.
-        scores = pd.DataFrame(self.scores.to_numpy())
-        people = scores.groupby(self.design.group)
-        stats = pd.concat([describe(group) for _, group in people], ignore_index=True)
+        scores, group = self.scores.to_numpy(), self.design.group
+        parts = [describe(scores[group == number]) for number in range(self.design.combinations)]
+        stats = pd.concat(parts, ignore_index=True)
         names = ["condition"] if self.one_way else [*self.between, *self.within]
         cells = [*product(*self.between.values(), *self.within.values())]
         return labelled(pd.DataFrame(cells, columns=names, dtype=object).join(stats), self.origin)
@@ -266,7 +265,7 @@ class RepeatedMeasures(Tested):
         return axes
 
 
-def describe(scores: pd.DataFrame) -> pd.DataFrame:
+def describe(scores: np.ndarray) -> pd.DataFrame:
     """
     Return n mean sd se median minimum maximum of every condition, and both intervals of the mean.
 
@@ -275,14 +274,16 @@ def describe(scores: pd.DataFrame) -> pd.DataFrame:
     removes.
     """
     n, k = scores.shape
-    stats = scores.agg(["count", "mean", "std", "sem", "median", "min", "max"]).T
-    stats.columns = ["n", "mean", "sd", "se", "median", "minimum", "maximum"]
-    inside = scores.sub(scores.mean(axis=1), axis=0).std() * np.sqrt(k / (k - 1.0))
+    mean, sd = scores.mean(axis=0), scores.std(axis=0, ddof=1)
+    stats = {"n": n, "mean": mean, "sd": sd, "se": sd / np.sqrt(n)}
+    stats |= {"median": np.median(scores, axis=0)}
+    stats |= {"minimum": scores.min(axis=0), "maximum": scores.max(axis=0)}
+    inside = scores - scores.mean(axis=1, keepdims=True)
+    within = inside.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
     half = special.stdtrit(n - 1, 0.975) / np.sqrt(n)
-    for end, sd in {"": stats["sd"], "_within": inside}.items():
-        stats[f"ci_low{end}"] = stats["mean"] - half * sd
-        stats[f"ci_high{end}"] = stats["mean"] + half * sd
-    return stats.astype({"n": int})
+    for end, spread in {"": sd, "_within": within}.items():
+        stats |= {f"ci_low{end}": mean - half * spread, f"ci_high{end}": mean + half * spread}
+    return pd.DataFrame(stats)
 
 
 def repeated_measures(
