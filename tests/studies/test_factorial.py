@@ -105,7 +105,6 @@ def test_what_a_reader_sees():
     [
         (lambda f: f.drop(index=7), {}, r"subject 1 has no score in condition \('a0', 'b1'\)"),
         (lambda f: f, {"order": {"C": ["a0"]}}, "order: 'C' is not a factor"),
-        (lambda f: f, {"order": {"group": ["novice", "q"]}, "between": "group"}, "every condition"),
         (
             lambda f: f.assign(same=f["group"]),
             {"between": ["group", "same"]},
@@ -121,11 +120,6 @@ def test_what_a_reader_sees():
             lambda f: f.assign(age=f.index),
             {"covariates": ["age"]},
             "^covariates: subject 0 has several labels in column 'age'",
-        ),
-        (
-            lambda f: f.assign(age=f["person"].where(f["person"] > 2)),
-            {"covariates": "age"},
-            "covariates: column 'age' has no label in row 0",
         ),
     ],
 )

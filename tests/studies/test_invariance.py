@@ -108,13 +108,22 @@ def test_rows_names_and_units_do_not_matter(name, seed, unit, origin):
 
 @pytest.mark.parametrize("labels", ["category", "str", "object"])
 @pytest.mark.parametrize("name", ANALYSES)
-def test_types_of_columns_do_not_matter(name, labels):
+def test_types_of_columns_and_names_of_rows_do_not_matter(name, labels):
     frame = table(2, several(name))
     types = {"mode": labels, "person": "Int64" if labels == "object" else "category"}
     other = frame.astype(types | {"score": "Float64", "group": labels})
     if "ordinal" in name or "odds" in name or "formula" in name:
         other = other.astype({"score": float})  # a rating, or a name in a formula
+    other = other.set_index(["person", "mode"], drop=False)
     pd.testing.assert_frame_equal(numbers(name, other), numbers(name, frame), check_dtype=False)
+
+
+def test_labels_may_be_true_and_false():
+    frame = table(3, several=False).query("mode < 'c'")
+    truths = frame.assign(mode=frame["mode"] == "b")
+    for view in ("descriptives", "pairs", "normality"):
+        own, other = (getattr(tl.repeated_measures(f, **ONE), view)() for f in (truths, frame))
+        pd.testing.assert_frame_equal(own.iloc[:, 2:], other.iloc[:, 2:])
 
 
 @pytest.mark.parametrize("name", ANALYSES)

@@ -1,7 +1,8 @@
 """
 Cumulative-link mixed models. Oracles: clmm of R's ordinal (reference/ordinal_model.R)
 and, for two categories, glmer of lme4 (reference/logistic_model.R) on published data and as its
-manual prints it; the likelihood's integral by another quadrature, logistic regression, simulation.
+manual prints it; the likelihood's integral by another quadrature, logistic regression, simulation;
+rejections counted by clmm on studies that R drew (reference/ordinal_power.R).
 """
 
 import time
@@ -18,6 +19,8 @@ from trustlab.studies.ordinal import Cumulative
 R = reference("ordinal_model")
 BINARY = reference("logistic_model")["sets"]
 WINE = pd.DataFrame(R["wine"])
+POWER = reference("ordinal_power")
+BELOW = special.logit(np.cumsum(POWER["first"])[:-1])
 THRESHOLDS = ("thresholds", "thresholds_se")
 
 
@@ -141,35 +144,28 @@ def test_likelihood_is_the_integral():
 
     exact = integrate.quad(integrand, -9.0, 9.0, points=[-1.0, 0.0], epsabs=0, epsrel=1e-12)[0]
     model = Cumulative(category, np.zeros(59, dtype=int), 40)
-    found = model.log_likelihood(shift, ends[1:3], sd)
+    found = model.log_likelihood(np.array([1.0, *ends[1:3], sd]), shift[:, None])
     assert found == pytest.approx(np.log(exact) - 45.0, abs=1e-9)
 
 
-def test_probabilities_are_shares_of_many_people(wine):
-    """Drawn from the fitted model, people rate as often as it says."""
+def test_answers_drawn_from_the_model_are_as_it_says(wine):
+    """Of many people, the shares of ratings; of two answers of the median person, the higher."""
     cells = wine.probabilities()
     sums = cells.groupby(["temp", "contact"], observed=True)["probability"].sum()
     np.testing.assert_allclose(sums, 1.0, atol=1e-12)
     inside = (cells["ci_low"] < cells["probability"]) & (cells["probability"] < cells["ci_high"])
     assert inside.all()
-    rng = np.random.default_rng(0)
-    people = wine.random_effects()["sd"].item() * rng.standard_normal(200_000)
-    eta = wine.coefficients_table()["estimate"][:3].sum() + people + rng.logistic(size=people.size)
-    rating = np.searchsorted(wine.coefficients_table()["estimate"][3:], eta)
-    last = cells.tail(5)["probability"]
-    np.testing.assert_allclose(np.bincount(rating) / people.size, last, atol=0.004)
-
-
-def test_effects_are_odds_and_superiority(wine):
-    """Of two answers of the median person, drawn many times, the share that is higher."""
-    pair = wine.pairs().set_index(["a", "b"]).loc[("cold × no", "warm × yes")]
-    assert pair["odds_ratio"] == pytest.approx(
-        np.exp(-wine.coefficients_table()["estimate"][:3].sum())
+    rng, draws = np.random.default_rng(0), 200_000
+    effects, cuts = np.split(wine.coefficients_table()["estimate"].to_numpy(), [3])
+    people = wine.random_effects()["sd"].item() * rng.standard_normal(draws)
+    rating = np.searchsorted(cuts, effects.sum() + people + rng.logistic(size=draws))
+    np.testing.assert_allclose(
+        np.bincount(rating) / draws, cells.tail(5)["probability"], atol=0.004
     )
-    rng = np.random.default_rng(1)
-    cuts = wine.coefficients_table()["estimate"][3:].to_numpy()
-    a = np.searchsorted(cuts, rng.logistic(size=200_000))
-    b = np.searchsorted(cuts, rng.logistic(size=200_000) - pair["estimate"])
+    pair = wine.pairs().set_index(["a", "b"]).loc[("cold × no", "warm × yes")]
+    assert pair["odds_ratio"] == pytest.approx(np.exp(-effects.sum()))
+    a = np.searchsorted(cuts, rng.logistic(size=draws))
+    b = np.searchsorted(cuts, rng.logistic(size=draws) + effects.sum())
     share = (a > b).mean() + 0.5 * (a == b).mean()
     assert pair["superiority"] == pytest.approx(share, abs=0.004)
 
@@ -225,3 +221,54 @@ def test_ratings_that_cannot_be_fitted_are_refused(rating, message):
 def test_factors_that_cannot_be_fitted_are_refused(factors, message):
     with pytest.raises(ValueError, match=message):
         tl.ordinal_model(ratings(), "trust", subject="person", **factors)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", POWER["cases"], ids=str)
+def test_power_is_the_share_of_rejections_in_r(case):
+    """
+    Two binomial counts of one probability, within four standard errors. A study whose likelihood
+    has no maximum is refused here; clmm stops somewhere.
+    """
+    rng = np.random.default_rng(3)
+    n, count, rejected, refused = case["n"], 300, 0, 0
+    frame = pd.DataFrame({"person": np.repeat(np.arange(n), 2), "condition": ["a", "b"] * n})
+    for _ in range(count):
+        answers = case["sd"] * np.repeat(rng.standard_normal(n), 2) + rng.logistic(size=2 * n)
+        answers += np.tile([0.0, case["shift"]], n)
+        frame["rating"] = np.searchsorted(BELOW, answers)
+        try:
+            model = tl.ordinal_model(frame, "rating", "condition", "person")
+        except ValueError as error:
+            if "the likelihood has no maximum" not in str(error):
+                raise
+            refused += 1
+            continue
+        rejected += model.table()["p_chi2"].item() < 0.05
+    assert refused <= 0.01 * count
+    power, other = rejected / (count - refused), case["rejected"] / POWER["replicates"]
+    middle = 0.5 * (power + other)
+    error = np.sqrt(middle * (1.0 - middle) * (1.0 / count + 1.0 / POWER["replicates"]))
+    assert abs(power - other) <= 4.0 * error
+
+
+@pytest.mark.long
+def test_intervals_of_probabilities_cover_as_they_say():
+    """30 people, two conditions, two ratings in each; the truth is an integral over people."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(80)
+    sd, shifts, studies = 1.2, np.array([0.0, 0.8]), 150
+    below = special.expit(BELOW[:, None] - shifts[:, None, None] - sd * nodes)
+    truth = np.diff(below @ weights / weights.sum(), prepend=0.0, append=1.0)
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame({"person": np.repeat(range(30), 4), "condition": [0, 0, 1, 1] * 30})
+    hits = []
+    for _ in range(studies):
+        answers = sd * rng.standard_normal(30)[frame["person"]] + shifts[frame["condition"]]
+        frame["rating"] = np.searchsorted(BELOW, answers + rng.logistic(size=120))
+        cells = tl.ordinal_model(frame, "rating", "condition", "person").probabilities()
+        right = truth[cells["condition"].astype(int), cells["category"].astype(int)]
+        hits.extend((cells["ci_low"] <= right) & (right <= cells["ci_high"]))
+    share = np.mean(hits)
+    # Ten intervals of a study depend on each other; studies do not.
+    low, high = stats.binom.ppf([1e-4, 1.0 - 1e-4], studies, 0.95) / studies
+    assert low <= share <= high

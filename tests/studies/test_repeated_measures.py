@@ -1,6 +1,6 @@
 """
-The front: what it accepts, what it decides, what it says. Oracles: R (test_against_r.py), closed
-forms, theorems.
+The front: what it accepts, what it decides, what it says, what it refuses, by subject, condition,
+column or row. Oracles: R (test_against_r.py), closed forms, theorems.
 """
 
 import re
@@ -12,17 +12,19 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given, settings, strategies as st
 from scipy import stats
 
 import trustlab as tl
 from tests.studies.scores import COLUMNS, drawn, long
 from trustlab.sessions import external_data
+from trustlab.studies.table import complete_scores, read_cells, read_factors
 
 mpl.use("Agg")
 
 
 def analysed(frame, **options):
-    return tl.repeated_measures(frame, **COLUMNS, **options)
+    return tl.repeated_measures(frame, **COLUMNS | options)
 
 
 # ---- what it accepts
@@ -31,14 +33,14 @@ def analysed(frame, **options):
 def test_order_of_conditions():
     frame = drawn(mode="bdac")
     categories = pd.Categorical(frame["mode"], categories=["d", "never", "c", "b", "a"])
-    for given, options, order in (
+    for ordered, options, order in (
         (frame, {}, tuple("abcd")),
         (frame, {"order": tuple("cadb")}, tuple("cadb")),
         (frame.assign(mode=categories), {}, tuple("dcba")),
         (drawn(mode=[10, 2, 1, 0.5]), {}, (0.5, 1.0, 2.0, 10.0)),
         (drawn(mode=["a", 1, 2, 3]), {"order": [1, 2, 3, "a"]}, (1, 2, 3, "a")),
     ):
-        result = analysed(given, **options)
+        result = analysed(ordered, **options)
         assert result.conditions == order
         pairs = result.pairs()
         assert [*zip(pairs["a"], pairs["b"], strict=True)] == [*combinations(order, 2)]
@@ -53,7 +55,10 @@ def test_no_warning_leaves_it(n, k):
         warnings.simplefilter("error")
         result = analysed(drawn(n, mode="abcdef"[:k]))
         result.table(), result.pairs(), result.friedman(), result.normality()
-        result.assumptions(), result.apa()
+        result.assumptions()
+        undefined = "Mauchly's test of sphericity is not defined." in result.apa()
+    assert undefined == (k > n)
+    assert np.isnan(result.mauchly_p) == (k == 2 or undefined)
 
 
 def test_missing_cells_as_rows_not_there_or_as_nan():
@@ -87,16 +92,12 @@ def test_the_correction():
     assert (two.correction, two.p_corrected) == ("none", two.p)
 
 
-def test_mauchly_is_refused_for_too_few_subjects():
-    result = analysed(drawn(3, mode="abcd"))
-    assert np.isnan([result.mauchly_w, result.mauchly_chi2, result.mauchly_p]).all()
-    assert "Mauchly's test of sphericity is not defined." in result.apa()
-    assert np.isfinite(analysed(drawn(4, mode="abcd")).mauchly_p)  # one more subject is enough
-
-
 def test_what_has_no_spread_is_said():
-    frame = drawn()
-    wide = frame["score"].to_numpy().reshape(12, 3).copy()
+    wide = drawn()["score"].to_numpy().reshape(12, 3).copy()
+    wide[:, :2] = 0.0
+    ranks = analysed(long(wide)).pairs(method="wilcoxon")
+    assert ranks["method"].tolist() == ["not defined", "exact", "exact"]
+    wide[:, 0] = wide[:, 2] ** 2
     wide[:, 1] = wide[:, 0] + 2.0
     result = analysed(long(wide))
     assert np.isnan(result.pairs()["t"]).tolist() == [True, False, False]
@@ -149,16 +150,14 @@ def test_plot():
     plt.close("all")
 
 
-def test_the_label_survives_tables_put_together():
-    first, second = drawn(), drawn()
-    second["person"] += 100
-    for marks, said in (
-        ((True, True), "synthetic data"),
-        ((True, np.nan), "partly synthetic data"),  # no mark
-        ((False, False), ""),
-    ):
-        both = [first.assign(synthetic=marks[0]), second.assign(synthetic=marks[1])]
-        assert analysed(pd.concat(both)).table()["origin"].tolist() == [said]
+@pytest.mark.parametrize(
+    ("second", "said"),
+    [(True, "synthetic data"), (np.nan, "partly synthetic data")],  # no mark is NaN
+)
+def test_the_label_survives_tables_put_together(second, said):
+    frame = drawn().assign(synthetic=np.resize([True, True, True, second, second, second], 36))
+    assert analysed(frame).table()["origin"].tolist() == [said]
+    assert analysed(frame.assign(synthetic=False)).origin == ""
 
 
 @pytest.mark.parametrize(
@@ -278,21 +277,111 @@ def test_assumptions_are_those_of_the_single_tests():
     assert found["p_anova"] == result.p_corrected
 
 
-def test_wilcoxon_pairs_are_those_of_scipy():
-    frame = drawn(14, seed=3)
-    found = analysed(frame).pairs(method="wilcoxon")
-    wide = frame.pivot_table(index="person", columns="mode", values="score")
-    for row in found.itertuples():
-        oracle = stats.wilcoxon(wide[row.a], wide[row.b], method="exact")
-        assert row.p == pytest.approx(oracle.pvalue)
-        assert row.median_difference == pytest.approx((wide[row.a] - wide[row.b]).median())
-        assert row.method == "exact"
-    order = found["p"].sort_values()
-    assert found["p_holm"][order.index[0]] == pytest.approx(min(3 * order.iloc[0], 1.0))
-
-
 def test_an_order_is_any_sequence_and_two_conditions_name_no_correction():
     frame = long(np.random.default_rng(0).normal(size=(8, 2)))
     text = tl.repeated_measures(frame, **COLUMNS, order=frame[COLUMNS["within"]].unique()).apa()
     assert "correction of degrees" not in text
     assert "(N = 8): " in text
+
+
+# ---- what it refuses
+
+
+def table(n=5):
+    frame = drawn(n, mode=["C1", "C2", "C3"])
+    return frame.assign(person=[f"P{person + 1}" for person in frame["person"]])
+
+
+def put(value, column="score"):
+    """The table with a value in row 7, which is P3 in C2."""
+    values = [*table()[column][:7], value, *table()[column][8:]]
+    return table().assign(**{column: pd.Series(values, dtype=object)})
+
+
+@pytest.mark.parametrize("value", [np.nan, None, pd.NA, pd.NaT])
+def test_missing_scores_are_named(value):
+    with pytest.raises(ValueError, match="subject 'P3' has no score in condition 'C2'"):
+        analysed(put(value))
+
+
+NO_NUMBERS = ["1.0", True, [1.0], pd.Timedelta("1s"), -np.inf, 10**5000]
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS, ids=lambda value: f"{type(value).__name__}")
+def test_what_is_no_number_is_named(value):
+    """In one row, or in all, so that the column has the value's own type."""
+    for frame, row in ((put(value), 7), (table().assign(score=pd.Series([value] * 15)), 0)):
+        with pytest.raises(ValueError, match=f"column 'score' holds .* in row {row};"):
+            analysed(frame)
+
+
+TABLES = {
+    "duplicate cell": (
+        pd.concat([table(), table().iloc[[4]].assign(score=np.nan)]),
+        "more than one row for a cell, such as row 4; average the trials",
+    ),
+    "gaps": (
+        table().drop(index=[3, 5]),
+        "subject 'P2' has no score in condition 'C1', 'C3'.*listwise.*mixed_model",
+    ),
+    "no subject": (put(np.nan, "person"), "subject: column 'person' has no label in row 7"),
+    "mixed labels": (put(3, "mode"), "mixes types of labels"),
+    "one condition": (table().iloc[::3], "'mode' has one condition only"),
+    "two subjects": (table(n=2), "2 complete subjects with scores in 'score'; at least three"),
+    "subjects constant": (
+        table().assign(score=np.repeat(0.3 * np.arange(5), 3)),
+        "^dv: the error variance is zero for mode ",
+    ),
+    "a column twice": (pd.concat([table(), table()[["mode"]]], axis=1), "2 columns are named"),
+    "a wide table": (
+        table().pivot_table(index="person", columns="mode", values="score").reset_index(),
+        r"no column 'score'; frame\.melt",
+    ),
+    "labels that are lists": (put([1], "mode"), r"within: \[1\] in row 7 of 'mode' is no label"),
+    "no rows": (table().iloc[:0], "no rows"),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_that_are_refused(name):
+    frame, message = TABLES[name]
+    with pytest.raises(ValueError, match=message):
+        analysed(frame)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dv": "scores"}, r"dv: no column 'scores'; did you mean 'score'\? \(there are person, "),
+        ({"within": np.array(["mode"])}, "within: no column array"),
+        ({"subject": "mode"}, "columns must be different"),
+        ({"order": [["C1"], "C2", "C3"]}, "order must list"),
+    ],
+)
+def test_columns_and_orders_that_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        analysed(table(), **options)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.integers(3, 8), st.integers(2, 5), st.data())
+def test_whatever_is_missing_is_named_or_left_out(n, k, data):
+    """
+    Property: no analysis ever has a NaN in it, and excluded and kept subjects together are all
+    subjects.
+    """
+    gone = np.array(data.draw(st.lists(st.booleans(), min_size=n * k, max_size=n * k)))
+    frame = drawn(n, mode=range(k)).assign(score=np.where(gone, np.nan, 1.0))
+    read = read_cells(*read_factors(frame, "score", "mode", "person")[:2], "score", "person")
+    complete = ~gone.reshape(n, k).any(axis=1)
+    if gone.any():
+        with pytest.raises(ValueError, match=r"missing cells|complete subject"):
+            complete_scores(read, "score")
+    if complete.sum() < 3:
+        with pytest.raises(ValueError, match="complete subject"):
+            complete_scores(read, "score", "listwise")
+        return
+    kept, excluded = complete_scores(read, "score", "listwise")
+    assert np.isfinite(kept).all(axis=None)
+    assert kept.index.tolist() == np.flatnonzero(complete).tolist()
+    assert sorted([*kept.index, *excluded]) == list(range(n))

@@ -24,10 +24,6 @@ def of_values(x, **rule):
     return replace(both, **parts)
 
 
-def scores_of(winsorized):
-    return winsorized.data.loc[winsorized.data["scheme"] == "A", "error"].to_numpy()
-
-
 @pytest.mark.parametrize(
     ("rule", "limits", "changed"),
     [
@@ -49,27 +45,19 @@ def test_rules_by_hand(rule, limits, changed):
 
 
 @given(
-    st.lists(st.floats(-1e6, 1e6), min_size=5, max_size=40, unique=True),
+    st.lists(st.integers(-(10**6), 10**6), min_size=5, max_size=40, unique=True),
     st.sampled_from(["sd", "mad", "iqr"]),
     st.sampled_from(["limit", "next"]),
 )
 @settings(max_examples=150)
 def test_order_is_kept_inner_values_are_not_touched(values, outside, to):
-    x = np.array(values)
-    k = {"sd": 1.5, "mad": 2.0, "iqr": 1.0}[outside]
-    try:
-        found = of_values(x, outside=outside, k=k, to=to)
-    except ValueError as error:
-        assert "is 0" in str(error)  # noqa: PT017  the spread of nearly equal numbers rounds to 0
-        return
+    x = np.array(values, dtype=float)
+    found = of_values(x, outside=outside, k=1.5, to=to)
     low, high = found.limits.loc[0, ["low", "high"]]
-    order, new = np.argsort(x), scores_of(found)
-    assert (np.diff(new[order]) >= 0).all()
+    new = found.data.loc[found.data["scheme"] == "A", "error"].to_numpy()
+    assert (np.diff(new[np.argsort(x)]) >= 0).all()
     inside = (x >= low) & (x <= high)
     assert (new[inside] == x[inside]).all()
     assert ((new >= low) & (new <= high)).all()
-    assert found.changes["subject"].tolist() == np.flatnonzero(~inside).tolist()
-    assert found.changes["old"].tolist() == x[~inside].tolist()
-    assert found.changes["new"].tolist() == new[~inside].tolist()
-    mirrored = of_values(-x, outside=outside, k=k, to=to)
-    assert scores_of(mirrored) == pytest.approx(-new, rel=1e-9, abs=1e-6)
+    changed = np.column_stack([np.flatnonzero(~inside), x[~inside], new[~inside]])
+    np.testing.assert_array_equal(found.changes[["subject", "old", "new"]], changed)

@@ -1,21 +1,23 @@
 """
 Analysis of variance with factors within and between subjects, for many studies at once.
 
-Scores are regressed on the design between subjects (sum-to-zero coding: sums of squares are of type
-III). Coefficients and residuals are projected on orthonormal contrasts of each effect within
-subjects: the intercept tests that effect, the columns of groups its interaction with them. Each
-effect within subjects has its own error term, as in `Anova` of car and `aov_car` of afex.
+Scores are regressed on the groups of subjects, whose coefficients are means of cells. An effect is
+contrasts of groups times contrasts of cells within subjects; unweighted means make sums of squares
+of type III. Each effect within subjects has its own error term, as in `Anova` of car and `aov_car`
+of afex.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
-from itertools import chain, combinations, count, product
+from itertools import chain, combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy import special
+from scipy.linalg import helmert
 from scipy.optimize import brentq
 
 from trustlab.models.checks import finite_numbers, not_negative, open_unit, positive
@@ -38,8 +40,18 @@ def subsets(names: Iterable) -> list[tuple]:
 
 def orthonormal_contrasts(k: int) -> np.ndarray:
     """Return Helmert contrasts of unit length, shape (k, k − 1): orthogonal to the constant."""
-    contrasts = np.triu(np.ones((k, k)))[:, :-1] - np.diag(np.arange(1.0, k), -1)[:, :-1]
-    return contrasts / np.linalg.norm(contrasts, axis=0)
+    return helmert(k).T
+
+
+def contrasts(factors: Mapping[Any, Sequence], names: Iterable) -> np.ndarray:
+    """Return orthonormal contrasts of all cells for an effect; factors not in it are averaged."""
+    parts = [
+        orthonormal_contrasts(len(levels))
+        if name in names
+        else np.full((len(levels), 1), len(levels) ** -0.5)
+        for name, levels in factors.items()
+    ]
+    return reduce(np.kron, parts, np.eye(1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,72 +77,51 @@ class Design:
     groups: Mapping[Any, np.ndarray] = field(default_factory=dict)
     covariates: Mapping[Any, np.ndarray] = field(default_factory=dict)
 
-    @cached_property
-    def effects(self) -> list[tuple[tuple, tuple]]:
-        """The factors between and within subjects of every effect, main effects first."""
-        pairs = [(block, names) for names in subsets(self.within) for block in self.blocks]
-        return sorted(pairs[1:], key=lambda pair: len(pair[0]) + len(pair[1]))
+    @property
+    def combinations(self) -> int:
+        """How many groups the factors between subjects make."""
+        return math.prod(map(len, self.between.values()))
 
-    @cached_property
-    def blocks(self) -> dict[tuple, np.ndarray]:
-        """
-        The regressors of every effect between subjects, the intercept first and covariates last.
-        """
-        coded = {}
+    @property
+    def group(self) -> np.ndarray:
+        """The number of every subject's group, the last factor varying fastest."""
+        group = np.zeros(self.n, dtype=int)
         for name, levels in self.between.items():
-            member = np.eye(len(levels))[self.groups[name]]
-            coded[name] = member[:, :-1] - member[:, -1:]  # the columns of a group sum to zero
-        ones = np.ones((self.n, 1))
-        blocks = {
-            names: reduce(_products, (coded[name] for name in names), ones)
-            for names in subsets(coded)
-        }
-        return blocks | {(name,): x[:, None] for name, x in self.covariates.items()}
+            group = len(levels) * group + self.groups[name]
+        return group
 
     @cached_property
     def matrix(self) -> np.ndarray:
-        """All regressors, shape (n, columns)."""
-        return np.hstack(list(self.blocks.values()))
+        """The regressors, shape (n, columns): a mark of each group's subjects, then covariates."""
+        return np.column_stack([np.eye(self.combinations)[self.group], *self.covariates.values()])
 
     @property
     def df_error(self) -> int:
         """Subjects less columns."""
         return self.n - self.matrix.shape[1]
 
-    @property
+    @cached_property
     def inverse(self) -> np.ndarray:
         """(X'X/n)⁻¹."""
         return np.linalg.inv(self.matrix.T @ self.matrix / self.n)
 
-    @property
-    def combinations(self) -> np.ndarray:
-        """
-        The regressors of a subject in every combination of groups, covariates at their means.
-        """
-        codes = np.array([*product(*(range(len(levels)) for levels in self.between.values()))])
-        groups = dict(zip(self.between, codes.T, strict=True))
-        zeros = dict.fromkeys(self.covariates, np.zeros(len(codes)))
-        return Design(len(codes), {}, self.between, groups, zeros).matrix
-
     @cached_property
-    def columns(self) -> dict[tuple, list[int]]:
-        """The columns of every effect between subjects."""
-        number = count()
-        return {block: [next(number) for _ in x.T] for block, x in self.blocks.items()}
-
-    def contrasts(self, names: tuple) -> np.ndarray:
-        """Return orthonormal contrasts of the cells for an effect; other factors are averaged."""
-        parts = [
-            orthonormal_contrasts(len(levels))
-            if name in names
-            else np.full((len(levels), 1), len(levels) ** -0.5)
-            for name, levels in self.within.items()
-        ]
-        return reduce(np.kron, parts)
-
-
-def _products(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    return (first[:, :, None] * second[:, None, :]).reshape(len(first), -1)
+    def hypotheses(self) -> dict[tuple, tuple[np.ndarray, np.ndarray]]:
+        """
+        The contrasts of columns and those of cells in the null hypothesis of each effect, by its
+        factors; main effects first.
+        """
+        unit = np.eye(self.combinations + len(self.covariates))
+        groups, slopes = np.split(unit, [self.combinations], axis=1)
+        blocks = {names: groups @ contrasts(self.between, names) for names in subsets(self.between)}
+        blocks |= {(name,): x[:, None] for name, x in zip(self.covariates, slopes.T, strict=True)}
+        effects = {
+            (*block, *names): (columns, contrasts(self.within, names))
+            for names in subsets(self.within)
+            for block, columns in blocks.items()
+        }
+        del effects[()]
+        return dict(sorted(effects.items(), key=lambda effect: len(effect[0])))
 
 
 class Regression(NamedTuple):
@@ -146,16 +137,16 @@ class Regression(NamedTuple):
     residual: np.ndarray
     rounding: np.ndarray
 
-    def sum_of_squares(self, contrasts: np.ndarray, columns: list[int]) -> np.ndarray:
-        """Return that of the hypothesis that coefficients · `contrasts` are 0 of each study."""
-        # SS = n |L⁻¹ B C|² with L L' the part of (X'X/n)⁻¹ that belongs to the columns
-        root = np.linalg.cholesky(self.design.inverse[np.ix_(columns, columns)])
-        whitened = np.linalg.solve(root, self.coefficients[:, columns] @ contrasts)
+    def sum_of_squares(self, columns: np.ndarray, cells: np.ndarray) -> np.ndarray:
+        """Return that of each study for the hypothesis that these contrasts are 0."""
+        # SS = n |L⁻¹ C' B M|² with L L' = C' (X'X/n)⁻¹ C
+        root = np.linalg.cholesky(columns.T @ self.design.inverse @ columns)
+        whitened = np.linalg.solve(root, columns.T @ self.coefficients @ cells)
         return self.design.n * (whitened**2).sum(axis=(1, 2))
 
-    def covariance(self, contrasts: np.ndarray) -> np.ndarray:
-        """Return the residual covariance of contrasts, shape (studies, d, d)."""
-        errors = self.residual @ contrasts
+    def covariance(self, cells: np.ndarray) -> np.ndarray:
+        """Return the residual covariance of contrasts of cells, shape (studies, d, d)."""
+        errors = self.residual @ cells
         return np.swapaxes(errors, 1, 2) @ errors / self.design.df_error
 
 
@@ -237,28 +228,25 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
     errors = (residual**2).sum(axis=(1, 2))
     subjects = (residual.sum(axis=2) ** 2).sum(axis=1) / residual.shape[2]
     tests = []
-    for block, names in design.effects:
-        contrasts, columns = design.contrasts(names), design.columns[block]
-        d, ss = contrasts.shape[1], regression.sum_of_squares(contrasts, columns)
-        covariance = regression.covariance(contrasts)
+    for names, (columns, cells) in design.hypotheses.items():
+        d, ss = cells.shape[1], regression.sum_of_squares(columns, cells)
+        covariance = regression.covariance(cells)
         error = np.trace(covariance, axis1=1, axis2=2)
         for study in np.flatnonzero((error <= d * floor) | ~np.isfinite(error)):
             where = "dv" if len(scores) == 1 else f"array: study {study}"
             raise ValueError(
-                f"{where}: the error variance is zero for {effect_name(block, names)} (all "
+                f"{where}: the error variance is zero for {effect_name(names)} (all "
                 "subjects differ by the same amounts, or not at all), or no number holds it: F is "
                 "not defined"
             )
-        df1, df2, f = d * len(columns), d * design.df_error, ss / len(columns) / error
+        df1, df2 = d * columns.shape[1], d * design.df_error
+        f = ss * d / df1 / error
         shape = sphericity(covariance, design.df_error, floor, residual.shape[2])
-        gg, hf = shape["epsilon_gg"], shape["epsilon_hf"]
-        test = {
-            "F": f,
-            "df1": df1,
-            "df2": df2,
-            "p": special.fdtrc(df1, df2, f),
-            "p_gg": special.fdtrc(gg * df1, gg * df2, f),
-            "p_hf": special.fdtrc(hf * df1, hf * df2, f),
+        test = {"F": f, "df1": df1, "df2": df2}
+        for end in CORRECTIONS.values():
+            epsilon = shape.get(f"epsilon{end}", 1.0)
+            test[f"p{end}"] = special.fdtrc(epsilon * df1, epsilon * df2, f)
+        test |= {
             "eta2_partial": f * df1 / (f * df1 + df2),
             "ss_effect": ss,
             "ss_error": design.df_error * error,
@@ -267,7 +255,7 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
             "ss_subjects": subjects,
         }
         tests.append(test | shape)
-    labels = [effect_name(*effect) for effect in design.effects]
+    labels = map(effect_name, design.hypotheses)
     index = pd.MultiIndex.from_product([range(len(scores)), labels], names=["study", "effect"])
     table = {
         name: np.column_stack([np.broadcast_to(test[name], len(scores)) for test in tests]).ravel()
@@ -276,9 +264,9 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
     return pd.DataFrame(table, index)
 
 
-def effect_name(block: tuple, names: tuple) -> str:
+def effect_name(names: Iterable) -> str:
     """Return "group × condition" for the factors of an effect."""
-    return " × ".join(map(str, (*block, *names)))
+    return " × ".join(map(str, names))
 
 
 def repeated_measures_batch(array: np.ndarray) -> pd.DataFrame:
@@ -376,16 +364,16 @@ def noncentrality_limit(f: float, df1: float, df2: float, probability: float) ->
     """
     # F′ df1/df2 = χ′²(λ)/χ²(df2), where χ′²(λ) = λ + df1 to within √λ: only the denominator is left
     # to vary.
-    large = df1 * (f * float(special.chdtri(df2, probability)) / df2 - 1.0)
+    large = df1 * (f * special.chdtri(df2, probability) / df2 - 1.0)
     if large > _LARGE:
         return large
 
     def excess(noncentrality: float) -> float:
-        return float(special.ncfdtr(df1, df2, noncentrality, f)) - probability
+        return special.ncfdtr(df1, df2, noncentrality, f) - probability
 
     if excess(0.0) <= 0.0:
         return 0.0
     high = max(1.0, 2.0 * df1 * f)
     while excess(high) > 0.0:
         high *= 2.0
-    return float(brentq(excess, 0.0, high, xtol=1e-12 * high, rtol=1e-13, maxiter=500))
+    return brentq(excess, 0.0, high, xtol=1e-12 * high, rtol=1e-13, maxiter=500)

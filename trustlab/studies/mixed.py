@@ -5,11 +5,10 @@ The scores of a participant have the covariance σ² (I + ρ 11ᵀ), where ρ is
 participants over the residual variance σ².
 """
 
-import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cache
-from itertools import chain
+from itertools import chain, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,8 +17,8 @@ from scipy import special
 from scipy.optimize import brentq
 
 from trustlab.models.checks import counted, of_class
-from trustlab.studies.anova import Design, effect_name, partial_eta_interval, subsets
-from trustlab.studies.pairs import compared, estimates_of, level_pairs
+from trustlab.studies.anova import Design, contrasts, effect_name, partial_eta_interval, subsets
+from trustlab.studies.pairs import compared, estimates_of, level_pairs, standard_errors
 from trustlab.studies.table import (
     Columns,
     Tested,
@@ -47,60 +46,56 @@ class InterceptFit(NamedTuple):
     residual: float
 
 
-class RandomIntercepts:
-    """Scores by participant: a column, named by an argument, says whose each row is."""
+def intercept_fit(
+    y: np.ndarray, x: np.ndarray, people: np.ndarray, *, restricted: bool = False
+) -> InterceptFit:
+    """
+    Return the maximum of the likelihood of scores, or of the restricted one; `people` are numbers
+    from 0.
+    """
+    counts = np.bincount(people)
+    if counts.size < 3:
+        raise ValueError(
+            f"subject or groups: {counted(counts.size, 'group')} with scores; at least three are "
+            "needed"
+        )
+    # Least squares first, so that neither the offset nor the unit of scores costs digits.
+    start = np.linalg.lstsq(x, y)[0]
+    columns = np.column_stack([x, y - x @ start])
+    means = pd.DataFrame(columns).groupby(people).mean().to_numpy()
+    inside = columns - means[people]
+    products = inside.T @ inside
+    error = inside[:, -1] - inside[:, :-1] @ np.linalg.lstsq(inside[:, :-1], inside[:, -1])[0]
+    if np.abs(error).max() <= 32.0 * np.finfo(float).eps * np.abs(y).max():
+        raise ValueError(
+            "dv or formula: the scores have no error variance: each is its subject's level "
+            "plus its condition's"
+        )
+    free = y.size - restricted * x.shape[1]
 
-    def __init__(self, argument: str, people: pd.Series):
-        self.codes = pd.factorize(people)[0]
-        self.counts = np.bincount(self.codes)
-        if self.counts.size < 3:
-            raise ValueError(
-                f"{argument}: column {people.name!r} has {self.counts.size} groups with scores; at "
-                "least three are needed"
-            )
+    def profile(ratio: float) -> InterceptFit:
+        # V⁻¹ = I − 11ᵀ/m + 11ᵀ/m / (1 + m ratio) for a participant with m scores.
+        weight = counts / (1.0 + counts * ratio)
+        weighted = products + (means.T * weight) @ means
+        inverse = np.linalg.inv(weighted[:-1, :-1])
+        shift = inverse @ weighted[:-1, -1]
+        contrast = np.append(-shift, 1.0)
+        residual = float(contrast @ weighted @ contrast) / free
+        falling = (means.T * weight**2) @ means  # of `weighted`, as the ratio rises
+        slope = weight.sum() - contrast @ falling @ contrast / residual
+        deviance = free * (1.0 + np.log(2.0 * np.pi * residual)) + np.log1p(counts * ratio).sum()
+        if restricted:
+            slope -= (inverse * falling[:-1, :-1]).sum()
+            deviance -= np.linalg.slogdet(inverse)[1]
+        return InterceptFit(deviance, slope, start + shift, inverse, ratio, residual)
 
-    def fit(self, y: np.ndarray, x: np.ndarray, restricted: bool = False) -> InterceptFit:
-        """Return the maximum of the likelihood, or of the restricted one."""
-        # Least squares first, so that neither the offset nor the unit of scores costs digits.
-        start = np.linalg.lstsq(x, y)[0]
-        columns = np.column_stack([x, y - x @ start])
-        means = np.zeros((self.counts.size, columns.shape[1]))
-        np.add.at(means, self.codes, columns)
-        means /= self.counts[:, None]
-        inside = columns - means[self.codes]
-        products = inside.T @ inside
-        error = inside[:, -1] - inside[:, :-1] @ np.linalg.lstsq(inside[:, :-1], inside[:, -1])[0]
-        if np.abs(error).max() <= 32.0 * np.finfo(float).eps * np.abs(y).max():
-            raise ValueError(
-                "dv or formula: the scores have no error variance: each is its subject's level "
-                "plus its condition's"
-            )
-        free = y.size - restricted * x.shape[1]
-
-        def profile(ratio: float) -> InterceptFit:
-            # V⁻¹ = I − 11ᵀ/m + 11ᵀ/m / (1 + m ratio) for a participant with m scores.
-            weight = self.counts / (1.0 + self.counts * ratio)
-            weighted = products + (means.T * weight) @ means
-            inverse = np.linalg.inv(weighted[:-1, :-1])
-            shift = inverse @ weighted[:-1, -1]
-            contrast = np.append(-shift, 1.0)
-            residual = float(contrast @ weighted @ contrast) / free
-            pull = means * weight[:, None]
-            slope = weight.sum() - ((pull @ contrast) ** 2).sum() / residual
-            deviance = free * (1.0 + np.log(2.0 * np.pi * residual))
-            deviance += np.log1p(self.counts * ratio).sum()
-            if restricted:
-                slope -= (pull[:, :-1] @ inverse * pull[:, :-1]).sum()
-                deviance -= np.linalg.slogdet(inverse)[1]
-            return InterceptFit(deviance, slope, start + shift, inverse, ratio, residual)
-
-        # All minima are compared: a search from one start can stop at a variance of zero.
-        rising = np.array([profile(ratio).slope >= 0.0 for ratio in RATIOS])
-        minima = [0.0]
-        for i in np.flatnonzero(~rising[:-1] & rising[1:]):
-            bracket = RATIOS[i], RATIOS[i + 1]
-            minima.append(brentq(lambda ratio: profile(ratio).slope, *bracket, xtol=1e-18))
-        return min(map(profile, minima), key=lambda fit: fit.deviance)
+    # All minima are compared: a search from one start can stop at a variance of zero.
+    rising = np.array([profile(ratio).slope >= 0.0 for ratio in RATIOS])
+    minima = [0.0]
+    for i in np.flatnonzero(~rising[:-1] & rising[1:]):
+        bracket = RATIOS[i], RATIOS[i + 1]
+        minima.append(brentq(lambda ratio: profile(ratio).slope, *bracket, xtol=1e-18))
+    return min(map(profile, minima), key=lambda fit: fit.deviance)
 
 
 # One score in cells of factors.
@@ -122,10 +117,8 @@ class MixedModel(Tested):
     ----------
     dv : hashable
         Column analysed.
-    factors : dict
-        Levels of each factor, those between subjects first.
-    between : list
-        Factors between subjects.
+    design : Design
+        Factors within and between subjects.
     tests : pandas.DataFrame
         A row per effect: effect, F (Wald's χ²/df1, type III), df1, df2 (those of the ANOVA where no
         cell is missing), p, chi2, p_chi2 (asymptotic), eta2_partial and its 90 % interval.
@@ -136,8 +129,7 @@ class MixedModel(Tested):
     """
 
     dv: Hashable
-    factors: dict
-    between: list
+    design: Design
     tests: pd.DataFrame
     means: pd.DataFrame
     covariance: np.ndarray
@@ -167,16 +159,16 @@ class MixedModel(Tested):
         ValueError
             If a factor is unknown, or both are the same.
         """
-        factor = [*self.factors][len(self.between)] if factor is None else factor
-        df = self.tests.set_index("effect")["df2"].get(str(factor))
-        pairs, weights = level_pairs(Design(self.n, self.factors), factor, at)
-        weights = weights[:, 0]
-        difference = weights @ self.means["mean"].to_numpy()
-        se = np.sqrt(((weights @ self.covariance) * weights).sum(axis=1))
-        twice = np.nan if factor in self.between else 2.0 * self.residual_variance
-        table = compared(pairs, difference, se, df, se / np.sqrt(twice))
+        factor = next(iter(self.design.within)) if factor is None else factor
+        pairs, weights = level_pairs(self.design, factor, at)
+        weights = weights.reshape(len(pairs), -1)
+        difference, se = weights @ self.means["mean"], standard_errors(weights, self.covariance)
+        df = self.tests.set_index("effect").loc[str(factor), "df2"]
+        between = factor in self.design.between
+        sd = np.nan if between else np.sqrt(2.0 * self.residual_variance)
         both = np.sqrt(self.subject_variance + self.residual_variance)
-        return labelled(table.assign(d_av=difference / both), self.origin)
+        table = compared(pairs, difference, se, df, sd).assign(d_av=difference / both)
+        return labelled(table, self.origin)
 
     def apa(self) -> str:
         """Return the sentence for a paper, with the test of every effect."""
@@ -236,29 +228,29 @@ def mixed_model(
           F  df1  df2   icc
     0  5.89    4  140  0.78
     """
-    levels, groups = read_factors(frame, dv, within, subject, between, order)
+    table, levels, groups = read_factors(frame, dv, within, subject, between, order)
     factors = groups | levels
-    table = read_cells(frame, dv, factors, subject)
-    there = table.notna().to_numpy()
-    for cell in table.columns[~there.any(axis=0)]:
+    scores = read_cells(table, factors, dv, subject).dropna(how="all")
+    there = scores.notna().to_numpy()
+    for cell in scores.columns[~there.any(axis=0)]:
         raise ValueError(f"within: no subject has a score in cell {cell!r} of {[*factors]}")
     person, cells = np.nonzero(there)
-    model = RandomIntercepts("subject", pd.Series(person, name=subject))
-    fit = model.fit(table.to_numpy()[there], np.eye(table.shape[1])[cells], restricted=True)
+    x = np.eye(scores.shape[1])[cells]
+    fit = intercept_fit(scores.to_numpy()[there], x, person, restricted=True)
     covariance = fit.residual * fit.inverse
-    n, combinations = model.counts.size, math.prod(map(len, groups.values()))
-    between_df = n - combinations
-    within_df = cells.size - n - table.shape[1] + combinations
+    design = Design(len(scores), levels, groups)
+    between_df = design.n - design.combinations
+    within_df = cells.size - scores.shape[1] - between_df
     rows = []
     for names in subsets(factors)[1:]:
-        contrasts = Design(n, factors).contrasts(names)
-        effect = contrasts.T @ fit.beta
-        chi2 = float(effect @ np.linalg.solve(contrasts.T @ covariance @ contrasts, effect))
+        tested = contrasts(factors, names)
+        effect = tested.T @ fit.beta
+        chi2 = float(effect @ np.linalg.solve(tested.T @ covariance @ tested, effect))
         df1, df2 = effect.size, between_df if {*names} <= {*groups} else within_df
         f, eta2 = chi2 / df1, chi2 / (chi2 + df2)
         p, p_chi2 = special.fdtrc(df1, df2, f), special.chdtrc(df1, chi2)
         low, high, *_ = partial_eta_interval(f, df1, df2)
-        rows.append((effect_name((), names), f, df1, df2, p, chi2, p_chi2, eta2, low, high))
+        rows.append((effect_name(names), f, df1, df2, p, chi2, p_chi2, eta2, low, high))
     columns = ["effect", "F", "df1", "df2", "p", "chi2", "p_chi2", "eta2_partial"]
     columns += ["eta2_partial_low", "eta2_partial_high"]
     tests = pd.DataFrame(rows, columns=columns).assign(
@@ -266,17 +258,15 @@ def mixed_model(
         residual_variance=fit.residual,
         icc=fit.ratio / (1.0 + fit.ratio),
         singular=fit.ratio == 0.0,
-        n=n,
+        n=design.n,
         cells=cells.size,
-        missing_cells=n * table.shape[1] // combinations - cells.size,
+        missing_cells=design.n * scores.shape[1] // design.combinations - cells.size,
     )
     means = estimates_of(fit.beta, np.sqrt(np.diag(covariance)), tests["df2"].min())
     means = means.rename(columns={"estimate": "mean"})[["mean", "se", "ci_low", "ci_high"]]
-    cell_names = table.columns if len(factors) > 1 else zip(table.columns, strict=True)
-    means.index = pd.Index([effect_name((), cell) for cell in cell_names], name="cell")
+    means.index = pd.Index(map(effect_name, product(*factors.values())), name="cell")
     origin = origin_of(frame)
-    tests, means = labelled(tests, origin), labelled(means, origin)
-    return MixedModel(dv, factors, [*groups], tests, means, covariance)
+    return MixedModel(dv, design, labelled(tests, origin), labelled(means, origin), covariance)
 
 
 # Models by formula.
@@ -373,47 +363,46 @@ def formula_model(formula: str, data: pd.DataFrame, groups: Hashable) -> Formula
     score, *terms = of_class("formula", formula, str).split("~")
     if len(terms) != 1 or not score.strip():
         raise ValueError(f"formula must be “score ~ terms”, got {formula!r}")
-    model = RandomIntercepts("groups", label_column(frame, "groups", groups))
+    people, names = pd.factorize(label_column(frame, "groups", groups))
     y, regressors, columns = matrices_of(formula, frame)
     x = regressors.to_numpy()
-    log_likelihood = cache(lambda kept: -0.5 * model.fit(y, x[:, kept]).deviance)
-    tests = likelihood_ratios(columns, x.shape[1], log_likelihood)
-    fit = model.fit(y, x, restricted=True)
+    log_likelihood = cache(lambda kept: -0.5 * intercept_fit(y, x[:, kept], people).deviance)
+    every = tuple(range(x.shape[1]))
+    tests = likelihood_ratios(columns, every, log_likelihood)
+    fit = intercept_fit(y, x, people, restricted=True)
     coefficients = estimates_of(fit.beta, np.sqrt(fit.residual * np.diag(fit.inverse)))
     coefficients.insert(0, "name", regressors.columns)
     variances = {"Intercept": fit.ratio * fit.residual, "residual": fit.residual}
     return FormulaModel(
         title=f"A mixed model, {formula}, with random intercepts by {groups}",
-        n=model.counts.size,
+        n=len(names),
         observations=y.size,
         tests=labelled(tests, origin_of(data)),
         coefficients=labelled(coefficients, origin_of(data)),
         variances=pd.Series(variances),
-        log_likelihood=log_likelihood(tuple(range(x.shape[1]))),
+        log_likelihood=log_likelihood(every),
         singular=fit.ratio == 0.0,
     )
 
 
 def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataFrame, dict]:
     """Return score, regressors, and the numbers of every term's columns."""
-    from formulaic import Formula, model_matrix
+    from formulaic import model_matrix
     from formulaic.errors import FormulaicError
 
     try:
-        variables = Formula(formula).required_variables
-        matrices = model_matrix(formula, frame, na_action="ignore")
-    except (FormulaicError, NameError, KeyError, SyntaxError, ValueError) as error:
+        # A missing label would be zeros, as if it were the reference level.
+        matrices = model_matrix(formula, frame, na_action="drop")
+    except (FormulaicError, LookupError, ValueError) as error:
         raise ValueError(f"formula {formula!r}: {error} (columns are {[*frame]})") from None
     score, x = (pd.DataFrame(part, dtype=float) for part in (matrices.lhs, matrices.rhs))
     if score.shape[1] != 1:
         raise ValueError(f"formula {formula!r}: the score must be one column of numbers")
-    # A missing label has become zeros, as if it were the reference level.
-    bad = frame[[name for name in frame if name in variables]].isna().any(axis=1)
-    bad |= ~np.isfinite(np.column_stack([score, x])).all(axis=1)
-    if bad.any():
+    whole = np.isfinite(x.assign(score=score)).all(axis=1).reindex(frame.index, fill_value=False)
+    if not whole.all():
         raise ValueError(
-            f"data: {bad.sum()} rows have a missing or infinite value, row {bad.idxmax()} first; "
-            "leave them out"
+            f"data: {(~whole).sum()} rows have a missing or infinite value, row {whole.idxmin()} "
+            "first; leave them out"
         )
     terms = matrices.rhs.model_spec.term_indices
     terms = {str(term): columns for term, columns in terms.items() if str(term) != "1"}
@@ -426,16 +415,18 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
 
 
 def likelihood_ratios(
-    terms: dict[str, list[int]], count: int, log_likelihood: Callable[[tuple[int, ...]], float]
+    terms: dict[str, list[int]],
+    every: tuple[int, ...],
+    log_likelihood: Callable[[tuple[int, ...]], float],
 ) -> pd.DataFrame:
     """
     Return the test of every term against the model without it and the interactions that contain it,
-    by the greatest log-likelihood of models with some of so many columns.
+    by the greatest log-likelihood of models with some of all columns.
     """
     rows = []
     for name, own in terms.items():
         above = [terms[term] for term in terms if {*name.split(":")} < {*term.split(":")}]
-        full = tuple(column for column in range(count) if column not in chain(*above))
+        full = tuple(column for column in every if column not in chain(*above))
         reduced = tuple(column for column in full if column not in own)
         chi2 = max(2.0 * (log_likelihood(full) - log_likelihood(reduced)), 0.0)
         rows.append((name, chi2, len(own), float(special.chdtrc(len(own), chi2))))

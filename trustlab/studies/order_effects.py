@@ -2,14 +2,15 @@
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import of_class
-from trustlab.studies.pairs import estimates_of, holm
+from trustlab.studies.anova import Design
+from trustlab.studies.pairs import compared, level_pairs
 from trustlab.studies.table import (
     Tested,
     complete_scores,
@@ -124,35 +125,33 @@ def order_effects(
     of_class("frame", frame, pd.DataFrame, "with a row per subject and position")
     for argument, name in {"position": position, "condition": condition}.items():
         label_column(frame, argument, name)
-    names = None if order is None else {condition: order}
-    levels, _ = read_factors(frame, dv, [position, condition], subject, order=names)
+    factors = [position, condition]
+    table, levels, _ = read_factors(frame, dv, factors, subject, order={condition: order})
     labels, places = levels[condition], levels[position]
-    cells = read_cells(frame, dv, {position: places}, subject)
-    scores = complete_scores(cells, dv)[0]
+    scores = complete_scores(read_cells(table, {position: places}, dv, subject), dv)[0]
     n, k = scores.shape
     if list(places) != list(range(1, k + 1)):
         raise ValueError(f"position: column {position!r} must hold 1 to {k}, got {list(places)}")
-    rows = frame.set_index([subject, position])[condition].loc[[*product(scores.index, places)]]
-    codes = np.reshape([*map(labels.index, rows.tolist())], (n, k))
-    sequences = pd.Series([*codes.astype(str)]).map(" ".join)
+    rows = table.reset_index(drop=True).sort_values([subject, position])
+    codes = rows[condition].cat.codes.to_numpy().reshape(n, k)
+    sequence = np.unique(codes, axis=0, return_inverse=True)[1]
     values = scores.to_numpy()
     y = (values - values.mean()).ravel()
     full = _within_subjects(codes, len(labels))
     error, df = _residual(y, full)
     if error <= y.size * (4.0 * np.finfo(float).eps * np.abs(values).max()) ** 2:
         raise ValueError(f"dv: {y.size} scores leave no error variance beside all effects")
-    between = {"mean": np.ones((n, 1)), "sequence": pd.get_dummies(sequences).to_numpy(float)}
+    between = {"mean": np.ones((n, 1)), "sequence": np.eye(sequence.max() + 1)[sequence]}
     direct = {name: x for name, x in full.items() if name != "carry_over"}
     tests = [
         _test("sequence", y.reshape(n, k).sum(axis=1) / np.sqrt(k), between),
         *(_test(name, y, full) for name in ("position", "condition", "carry_over")),
-        ("condition_without_carry_over", *_test("condition", y, direct)[1:]),
+        _test("condition", y, direct) | {"effect": "condition_without_carry_over"},
     ]
-    table = pd.DataFrame(tests, columns=["effect", "ss", "df1", "df2", "F", "p", "note"])
     separable = y.size - df == n + k - 1 + 2 * (len(labels) - 1)
-    pairs = _differences(y, full if separable else direct, labels)
+    pairs = _differences(y, full if separable else direct, Design(n, {condition: labels}))
     origin = scores.attrs.get("origin", "")
-    return OrderEffects(dv, scores, labelled(table, origin), labelled(pairs, origin))
+    return OrderEffects(dv, scores, labelled(pd.DataFrame(tests), origin), labelled(pairs, origin))
 
 
 def _within_subjects(codes: np.ndarray, count: int) -> dict[str, np.ndarray]:
@@ -176,33 +175,35 @@ def _residual(y: np.ndarray, parts: dict[str, np.ndarray]) -> tuple[float, int]:
     return float(((y - x @ beta) ** 2).sum()), y.size - int(rank)
 
 
-def _test(effect: str, y: np.ndarray, parts: dict[str, np.ndarray]) -> tuple:
+def _test(effect: str, y: np.ndarray, parts: dict[str, np.ndarray]) -> dict[str, Any]:
     """Return a row of the table: the regression on all parts against the one without the effect."""
     error, df2 = _residual(y, parts)
     total, df = _residual(y, {name: x for name, x in parts.items() if name != effect})
     df1, contrasts = df - df2, parts[effect].shape[1] - 1
-    note = "not testable: every sequence has one subject"
+    ss = f = p = np.nan
     if df1 == 0:
         note = "not estimable: these orders do not separate it from the other effects"
-    if df1 * df2 == 0:
-        return effect, np.nan, df1, df2, np.nan, np.nan, note
-    note = f"only {df1} of {contrasts} contrasts are estimable from these orders"
-    f = (total - error) / df1 / (error / df2)
-    p = float(special.fdtrc(df1, df2, f))
-    return effect, total - error, df1, df2, f, p, note if df1 < contrasts else ""
+    elif df2 == 0:
+        note = "not testable: every sequence has one subject"
+    else:
+        ss = total - error
+        f = ss / df1 / (error / df2)
+        p = special.fdtrc(df1, df2, f)
+        few = f"only {df1} of {contrasts} contrasts are estimable from these orders"
+        note = few if df1 < contrasts else ""
+    return {"effect": effect, "ss": ss, "df1": df1, "df2": df2, "F": f, "p": p, "note": note}
 
 
-def _differences(y: np.ndarray, parts: dict[str, np.ndarray], labels: Sequence) -> pd.DataFrame:
+def _differences(y: np.ndarray, parts: dict[str, np.ndarray], design: Design) -> pd.DataFrame:
     """Return the differences of conditions, whose regressors are the first."""
     error, df = _residual(y, parts)
     x = np.column_stack([*parts.values()])
-    weights = np.array([a - b for a, b in combinations(np.eye(len(labels), x.shape[1]), 2)])
-    inverse = np.linalg.pinv(x)
-    se = np.sqrt(error / df * ((weights @ inverse) ** 2).sum(axis=1))
-    tests = estimates_of(weights @ inverse @ y, se, df)
+    pairs, weights = level_pairs(design, *design.within)
+    weights = np.pad(weights[:, 0], ((0, 0), (0, x.shape[1] - weights.shape[2])))
+    weighted = weights @ np.linalg.pinv(x, 1e-12)
     # Estimable weights are combinations of contrasts of the regressors.
-    tests[~np.isclose(weights @ inverse @ x, weights, atol=1e-8).all(axis=1)] = np.nan
-    pairs = pd.DataFrame(combinations(labels, 2), columns=["a", "b"]).join(tests)
-    pairs = pairs.rename(columns={"estimate": "mean_difference"})
-    pairs = pairs.assign(df=df, p_holm=holm(pairs["p"].to_numpy()))
-    return pairs[["a", "b", "mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"]]
+    estimable = np.isclose(weighted @ x, weights, atol=1e-8).all(axis=1)
+    difference = np.where(estimable, weighted @ y, np.nan)
+    se = np.sqrt(error / df) * np.linalg.norm(weighted, axis=1)
+    table = compared(pairs, difference, se, df, np.nan)
+    return table[["a", "b", "mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"]]

@@ -9,20 +9,21 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import sparse, special
 from scipy.optimize import minimize
 
-from trustlab.models.checks import finite_array, of_class, whole_number
+from trustlab.models.checks import finite_array, whole_number
+from trustlab.studies.anova import effect_name
 from trustlab.studies.mixed import (
     FormulaModel,
     likelihood_ratios,
     matrices_of,
 )
-from trustlab.studies.pairs import estimates_of, holm
+from trustlab.studies.pairs import estimates_of, holm, standard_errors
 from trustlab.studies.table import (
     Columns,
     column_of,
@@ -39,18 +40,6 @@ FAR = 15.0
 # SD below which people do not vary.
 SINGULAR = 1e-3
 STEP = 1e-3  # of differences
-
-
-class CumulativeFit(NamedTuple):
-    """
-    Maximum of the likelihood: coefficients, thresholds, SD of people, and the covariance of
-    coefficients and thresholds.
-    """
-
-    beta: np.ndarray
-    thresholds: np.ndarray
-    sd: float
-    covariance: np.ndarray
 
 
 class Cumulative:
@@ -72,10 +61,11 @@ class Cumulative:
         self.nodes, mass = np.polynomial.hermite_e.hermegauss(points)
         self.log_mass = np.log(mass / mass.sum()) + 0.5 * self.nodes**2
 
-    def log_likelihood(self, effects: np.ndarray, thresholds: np.ndarray, sd: float) -> float:
-        """Return the log-likelihood of effects x β of every row."""
+    def log_likelihood(self, point: np.ndarray, x: np.ndarray) -> float:
+        """Return it at a point: coefficients of x, thresholds and the SD of people."""
+        beta, thresholds, (sd,) = np.split(point, [x.shape[1], -1])
         ends = np.concatenate([[-np.inf], thresholds, [np.inf]])
-        bounds = ends[[self.category, self.category + 1]] - effects
+        bounds = ends[[self.category, self.category + 1]] - x @ beta
         mode, information = self._modes(bounds, sd)
         v = mode[:, None] + self.nodes / np.sqrt(information)[:, None]
         low, high = bounds[:, :, None] - sd * v[self.people]
@@ -105,51 +95,49 @@ class Cumulative:
             inside = (low < newton) & (newton < high)
             mode = np.where(going, np.where(inside, newton, 0.5 * (low + high)), mode)
 
-    def loss(self, point: np.ndarray, z: np.ndarray) -> float:
-        """Return minus the log-likelihood at coefficients, thresholds, and the SD of people."""
-        beta, thresholds = np.split(point[:-1], [z.shape[1]])
-        return -self.log_likelihood(z @ beta, thresholds, point[-1])
-
-    def maximum(self, z: np.ndarray) -> np.ndarray:
-        """Return the point of the greatest likelihood, given regressors of mean 0 and SD 1."""
-        count = z.shape[1]
+    def maximum(self, x: np.ndarray) -> np.ndarray:
+        """Return the point of the greatest likelihood."""
+        count, mean, scale = x.shape[1], x.mean(axis=0), x.std(axis=0)
+        z = (x - mean) / scale
 
         def ordered(free: np.ndarray) -> np.ndarray:
             # The search goes by logarithms of the distances between thresholds.
-            gaps = np.exp(np.minimum(free[count + 1 : -1], 2.0 * FAR))
-            return np.concatenate([free[: count + 1], free[count] + np.cumsum(gaps), free[-1:]])
+            first, gaps, sd = np.split(free, [count + 1, -1])
+            gaps = np.exp(np.minimum(gaps, 2.0 * FAR))
+            return np.concatenate([first, first[-1] + np.cumsum(gaps), np.abs(sd)])
 
         thresholds = special.logit(np.cumsum(np.bincount(self.category))[:-1] / len(z))
         start = [*np.zeros(count), thresholds[0], *np.log(np.diff(thresholds)), 0.7]
         search = {"method": "BFGS", "jac": "3-point", "options": {"gtol": 1e-6}}
-        point = ordered(minimize(lambda free: self.loss(ordered(free), z), start, **search).x)
-        beta, rest = np.split(point, [count])
-        if max(np.abs(z @ beta).max(), np.abs(rest).max()) > FAR:
+        found = minimize(lambda free: -self.log_likelihood(ordered(free), z), start, **search)
+        beta, rest = np.split(ordered(found.x), [count])
+        if np.abs([*(z @ beta), *rest]).max() > FAR:
             raise ValueError(
                 "dv: the likelihood has no maximum: some effect separates low from high ratings, "
                 "or people hardly vary; leave the effect or the people out"
             )
-        return point
+        beta = beta / scale
+        rest[:-1] += mean @ beta
+        return np.concatenate([beta, rest])
 
-    def fit(self, x: np.ndarray, point: np.ndarray) -> CumulativeFit:
+    def covariance(self, point: np.ndarray, x: np.ndarray) -> np.ndarray:
         """
-        Return a maximum in units of the regressors, with the inverse of the observed information.
+        Return that of coefficients and thresholds at the maximum: the inverse of the observed
+        information.
         """
         from statsmodels.tools.numdiff import approx_hess
 
-        count, scale = x.shape[1], x.std(axis=0)
-        beta, thresholds = np.split(point[:-1], [count])
-        beta = beta / scale
-        point = np.concatenate([beta, thresholds + x.mean(axis=0) @ beta, np.abs(point[-1:])])
-        steps = STEP / np.concatenate([scale, np.ones(point.size - count)])
+        steps = np.full(point.size, STEP)
+        steps[: x.shape[1]] /= x.std(axis=0)
         # People who do not vary are at the boundary, which carries no information on the rest.
         free, fixed = np.split(point, [point.size - (point[-1] < SINGULAR)])
-        information = approx_hess(
-            free, lambda part: self.loss(np.concatenate([part, fixed]), x), steps[: free.size]
+        information = -approx_hess(
+            free,
+            lambda part: self.log_likelihood(np.concatenate([part, fixed]), x),
+            steps[: free.size],
         )
         size = point.size - 1
-        covariance = np.linalg.inv(information)[:size, :size]
-        return CumulativeFit(beta, point[count:-1], float(point[-1]), covariance)
+        return np.linalg.inv(information)[:size, :size]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -167,8 +155,8 @@ class OrdinalModel(FormulaModel):
         Column of the ratings.
     categories : tuple
         Values of the ratings, ascending.
-    fit : CumulativeFit
-        Where the likelihood is greatest.
+    covariance : numpy.ndarray
+        Of coefficients and thresholds.
     cells : pandas.DataFrame
         Regressors of every cell of the factors, covariates at their means.
 
@@ -179,8 +167,17 @@ class OrdinalModel(FormulaModel):
 
     dv: Hashable
     categories: tuple
-    fit: CumulativeFit
+    covariance: np.ndarray
     cells: pd.DataFrame
+
+    def _chances(self, point: np.ndarray, sd: float) -> np.ndarray:
+        """Return how likely every category is in every cell, over people of an SD."""
+        x = self.cells.to_numpy()
+        beta, thresholds = np.split(point, [x.shape[1]])
+        nodes, mass = np.polynomial.hermite_e.hermegauss(60)
+        logits = thresholds[:, None] - (x @ beta)[:, None, None] - sd * nodes
+        below = special.expit(logits) @ (mass / mass.sum())
+        return np.diff(below, axis=1, prepend=0.0, append=1.0)
 
     def probabilities(self) -> pd.DataFrame:
         """
@@ -194,18 +191,14 @@ class OrdinalModel(FormulaModel):
         """
         from statsmodels.tools.numdiff import approx_fprime
 
-        fit, x = self.fit, self.cells.to_numpy()
-        nodes, mass = np.polynomial.hermite_e.hermegauss(60)
+        point = self.coefficients["estimate"].to_numpy()
+        sd = np.sqrt(self.variances["Intercept"])
 
-        def logits(parameters: np.ndarray) -> np.ndarray:
-            beta, thresholds = np.split(parameters, [fit.beta.size])
-            logit = thresholds[:, None] - (x @ beta)[:, None, None] - fit.sd * nodes
-            below = special.expit(logit) @ (mass / mass.sum())
-            return special.logit(np.diff(below, axis=1, prepend=0.0, append=1.0)).ravel()
+        def logits(point: np.ndarray) -> np.ndarray:
+            return special.logit(self._chances(point, sd)).ravel()
 
-        point = np.concatenate([fit.beta, fit.thresholds])
         slope = approx_fprime(point, logits, 2.0 * STEP, centered=True)  # which takes half of it
-        half = special.ndtri(0.975) * np.sqrt(((slope @ fit.covariance) * slope).sum(axis=1))
+        half = special.ndtri(0.975) * standard_errors(slope, self.covariance)
         centre = logits(point)
         table = self.cells.index.to_frame(index=False).merge(
             pd.Series(self.categories, name="category"), how="cross"
@@ -224,16 +217,13 @@ class OrdinalModel(FormulaModel):
             Columns a, b, estimate (a − b in logits), se, z, p, ci_low, ci_high, p_holm, odds_ratio,
             superiority (probability that the median person rates a above b, ties half).
         """
-        index, x = self.cells.index.to_frame(), self.cells.to_numpy()
-        beta = self.fit.beta
-        names = np.array([" × ".join(map(str, row)) for row in index.itertuples(index=False)])
+        x, point = self.cells.to_numpy(), self.coefficients["estimate"].to_numpy()
+        names = np.array([*map(effect_name, self.cells.index.to_frame().to_numpy())])
         a, b = np.triu_indices(len(names), 1)
-        contrast = x[a] - x[b]
-        variance = self.fit.covariance[: beta.size, : beta.size]
-        se = np.sqrt(((contrast @ variance) * contrast).sum(axis=1))
-        table = pd.DataFrame({"a": names[a], "b": names[b]}).join(estimates_of(contrast @ beta, se))
-        below = special.expit(self.fit.thresholds - (x @ beta)[:, None])
-        chance = np.diff(below, axis=1, prepend=0.0, append=1.0)
+        contrast = np.pad(x[a] - x[b], ((0, 0), (0, point.size - x.shape[1])))
+        tests = estimates_of(contrast @ point, standard_errors(contrast, self.covariance))
+        table = pd.DataFrame({"a": names[a], "b": names[b]}).join(tests)
+        chance = self._chances(point, 0.0)
         middle = np.cumsum(chance, axis=1) - 0.5 * chance  # P(below) and half of P(equal)
         table = table.assign(
             p_holm=holm(table["p"].to_numpy()),
@@ -309,56 +299,54 @@ def ordinal_model(
        term  df
     0  mode   1
     """
-    of_class("frame", frame, pd.DataFrame, "with a row per rating")
-    data = frame.reset_index(drop=True)
-    codes, people = pd.factorize(label_column(data, "subject", subject))
-    if len(people) < 3:
-        raise ValueError(f"subject: column {subject!r} has {len(people)} people; at least 3 needed")
+    table, inside, groups = read_factors(frame, dv, within, subject, between, order)
+    data = table.reset_index(drop=True)
+    people = data[subject].cat
+    n = len(people.categories)
+    if n < 3:
+        raise ValueError(f"subject: column {subject!r} has {n} people; at least 3 needed")
     answers, categories = _categories(label_column(data, "dv", dv))
-    inside, groups = read_factors(data, dv, within, subject, between, order)
     factors = groups | inside
-    for name, levels in factors.items():
-        data[name] = pd.Categorical(data[name], levels)
     for name in covariates:
         finite_array("covariates", column_of(data, "covariates", name))
     crossed = " * ".join(f"`{name}`" for name in factors)
     formula = " + ".join([f"`{dv}` ~ {crossed}", *(f"`{name}`" for name in covariates)])
     data[dv] = answers
     _, regressors, terms = matrices_of(formula, data)
-    # Thresholds take the place of the intercept.
-    regressors = regressors.drop(columns="Intercept")
-    terms = {name: [column - 1 for column in columns] for name, columns in terms.items()}
-    count, x = regressors.shape[1], regressors.to_numpy()
-    z = (x - x.mean(axis=0)) / x.std(axis=0)
-    model = Cumulative(answers, codes, whole_number("points", points, most=100))
-    maximum = cache(lambda kept: model.maximum(z[:, kept]))
+    x = regressors.to_numpy()
+    # Thresholds take the place of the intercept, the first column.
+    every = tuple(range(1, x.shape[1]))
+    model = Cumulative(
+        answers, people.codes.to_numpy(int), whole_number("points", points, most=100)
+    )
+    maximum = cache(lambda kept: model.maximum(x[:, kept]))
 
     def log_likelihood(kept: tuple[int, ...]) -> float:
-        return -model.loss(maximum(kept), z[:, kept])
+        return model.log_likelihood(maximum(kept), x[:, kept])
 
-    tests = likelihood_ratios(terms, count, log_likelihood)
-    cells = regressors.groupby([data[name] for name in factors], observed=True).mean()
+    tests = likelihood_ratios(terms, every, log_likelihood)
+    effects = regressors.columns[1:]
+    cells = regressors[effects].groupby([data[name] for name in factors], observed=True).mean()
     for name in covariates:
-        cells.iloc[:, terms[name]] = x[:, terms[name]].mean(axis=0)
-    every = tuple(range(count))
-    fit = model.fit(x, maximum(every))
-    estimates = np.concatenate([fit.beta, fit.thresholds])
-    coefficients = estimates_of(estimates, np.sqrt(np.diag(fit.covariance)))
+        cells[regressors.columns[terms[name]]] = x[:, terms[name]].mean(axis=0)
+    point = maximum(every)
+    covariance = model.covariance(point, x[:, every])
+    coefficients = estimates_of(point[:-1], np.sqrt(np.diag(covariance)))
     thresholds = [f"{low} | {high}" for low, high in pairwise(categories)]
-    coefficients.insert(0, "name", [*regressors, *thresholds])
+    coefficients.insert(0, "name", [*effects, *thresholds])
     kind = "logistic" if len(categories) == 2 else "cumulative-link"
     return OrdinalModel(
         title=f"A {kind} mixed model of {dv} with random intercepts",
-        n=len(people),
+        n=n,
         observations=answers.size,
         tests=labelled(tests, origin_of(frame)),
         coefficients=labelled(coefficients, origin_of(frame)),
-        variances=pd.Series({"Intercept": fit.sd**2}),
+        variances=pd.Series({"Intercept": point[-1] ** 2}),
         log_likelihood=log_likelihood(every),
-        singular=fit.sd < SINGULAR,
+        singular=bool(point[-1] < SINGULAR),
         dv=dv,
         categories=tuple(categories),
-        fit=fit,
+        covariance=covariance,
         cells=cells,
     )
 

@@ -8,7 +8,7 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import between, open_unit, positive
-from trustlab.studies.pairs import holm, normality_of_differences
+from trustlab.studies.pairs import holm, normality
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.table import Tested, labelled
 from trustlab.studies.words import apa_pair
@@ -111,15 +111,15 @@ def paired_t_test(
             f"within: column {within!r} has {result.k} conditions, {[*result.conditions]}; a "
             "paired t-test compares two. Select their rows, or use repeated_measures"
         )
-    values = result.scores.to_numpy()
-    normality = normality_of_differences(values).rename(
-        columns={"W": "shapiro_w", "p": "shapiro_p"}
-    )
-    test = pd.concat([result.pairs(confidence=confidence), normality], axis=1).assign(
+    a, b = result.scores.to_numpy().T
+    shapiro = normality(a, b)
+    test = result.pairs(confidence=confidence).assign(
         n=result.n,
-        sd_difference=np.subtract(*values.T).std(ddof=1),
+        sd_difference=(a - b).std(ddof=1),
         confidence=confidence,
         correlation=result.scores.corr().iloc[0, 1],
+        shapiro_w=shapiro["W"],
+        shapiro_p=shapiro["p"],
     )
     return PairedTTest(labelled(test[COLUMNS], result.origin), result)
 
@@ -188,18 +188,18 @@ def equivalence(
     if alpha >= 0.5:
         raise ValueError(f"alpha must be below 0.5, as the interval has 1 − 2 alpha, got {alpha}")
     result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
-    pairs, n = result.pairs(confidence=1.0 - 2.0 * alpha), result.n
+    pairs, df = result.pairs(confidence=1.0 - 2.0 * alpha), result.n - 1
     for pair in pairs[pairs["t"].isna()].itertuples():
         raise ValueError(
             f"dv: every subject has the same difference between {pair.a!r} and {pair.b!r}"
         )
     mean = pairs["mean_difference"]
-    error = 0.5 * (pairs["ci_high"] - pairs["ci_low"]) / special.stdtrit(n - 1, 1.0 - alpha)
+    error = (pairs["ci_high"] - mean) / special.stdtrit(df, 1.0 - alpha)
     t_low, t_high = (mean + bound) / error, (mean - bound) / error
-    p_low, p_high = special.stdtr(n - 1, -t_low), special.stdtr(n - 1, t_high)
+    p_low, p_high = special.stdtr(df, -t_low), special.stdtr(df, t_high)
     p = np.maximum(p_low, p_high)
     table = pairs[["a", "b"]].assign(
-        n=n,
+        n=result.n,
         mean_difference=mean,
         low=-bound,
         high=bound,
@@ -207,7 +207,7 @@ def equivalence(
         p_low=p_low,
         t_high=t_high,
         p_high=p_high,
-        df=n - 1,
+        df=df,
         p=p,
         p_holm=holm(p.to_numpy()),
         ci_low=pairs["ci_low"],

@@ -1,8 +1,6 @@
 """Comparisons after an analysis of variance: pairs of levels, ranks, normality."""
 
-import math
-from collections.abc import Hashable
-from functools import reduce
+from collections.abc import Callable, Hashable
 from itertools import combinations
 from typing import Any
 
@@ -54,6 +52,11 @@ def estimates_of(
     return pd.DataFrame(columns | {"ci_low": estimate - half, "ci_high": estimate + half})
 
 
+def standard_errors(weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return those of weighted sums, a row of weights each, of numbers with a covariance."""
+    return np.sqrt(((weights @ covariance) * weights).sum(axis=1))
+
+
 def d_z_interval(t: np.ndarray, df: float, scale: Any, level: float = 0.95) -> list[np.ndarray]:
     """
     Return the limits of an interval of d_z = t · scale, by the noncentral t distribution.
@@ -71,7 +74,7 @@ def level_pairs(
     Return all pairs of a factor's levels, over all cells or within each level of `at`: level, a, b.
 
     With them come the weights of the coefficients of all cells in the difference of the levels'
-    means, unweighted over other factors, shape (pairs, columns, cells).
+    means, unweighted over other factors, shape (pairs, groups, cells).
     """
     factors = {**design.between, **design.within}
     for name in (factor,) if at is None else (factor, at):
@@ -79,43 +82,17 @@ def level_pairs(
             raise ValueError(f"factor: {name!r} is not a factor of this design: {[*factors]}")
     if factor == at:
         raise ValueError(f"factor and at are both {factor!r}; name two factors")
-    sizes = {name: len(levels) for name, levels in factors.items()}
-    means = {name: np.full((1, k), 1.0 / k) for name, k in sizes.items()}
-    a, b = np.triu_indices(sizes[factor], 1)
-    contrasts = np.eye(sizes[factor])[a] - np.eye(sizes[factor])[b]
-    cells = math.prod(map(len, design.within.values()))
-    pairs, weights = [], []
-    for place, level in enumerate([np.nan] if at is None else factors[at]):
-        fixed = {} if at is None else {at: np.eye(sizes[at])[[place]]}
-        of_cells = reduce(np.kron, (means | fixed | {factor: contrasts}).values())
-        weights.append(design.combinations.T @ of_cells.reshape(len(a), -1, cells))
-        pairs += [(level, *pair) for pair in combinations(factors[factor], 2)]
-    table = pd.DataFrame(pairs, columns=["level", "a", "b"], dtype=object)
-    return table, np.concatenate(weights)
-
-
-def compared(
-    pairs: pd.DataFrame,
-    difference: np.ndarray,
-    se: np.ndarray,
-    df: float,
-    scale: Any,
-    level: float = 0.95,
-) -> pd.DataFrame:
-    """
-    Return pairs with their tests, p-values adjusted within each level, and d_z = t · scale.
-    """
-    tests = estimates_of(difference, se, df, level).rename(columns={"estimate": "mean_difference"})
-    family = tests["p"].groupby(pairs["level"], dropna=False)
-    low, high = d_z_interval(tests["t"].to_numpy(), df, scale, level)
-    return pairs.join(tests).assign(
-        df=df,
-        p_bonferroni=family.transform(lambda p: bonferroni(p.to_numpy())),
-        p_holm=family.transform(lambda p: holm(p.to_numpy())),
-        d_z=tests["t"] * scale,
-        d_z_low=low,
-        d_z_high=high,
-    )
+    sizes = [*map(len, factors.values())]
+    # The number of every cell's level of each factor, and marks of the cells of each level.
+    numbers = np.indices(sizes).reshape(len(sizes), -1)
+    marks = {name: np.eye(max(k) + 1)[:, k] for name, k in zip(factors, numbers, strict=True)}
+    means = (1.0 if at is None else marks[at][:, None]) * marks[factor][None]
+    means /= means.sum(axis=2, keepdims=True)
+    a, b = np.triu_indices(means.shape[1], 1)
+    levels = [np.nan] if at is None else factors[at]
+    pairs = [(level, *pair) for level in levels for pair in combinations(factors[factor], 2)]
+    weights = (means[:, a] - means[:, b]).reshape(len(pairs), design.combinations, -1)
+    return pd.DataFrame(pairs, columns=["level", "a", "b"], dtype=object), weights
 
 
 def differences(regression: Regression, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -124,81 +101,82 @@ def differences(regression: Regression, weights: np.ndarray) -> tuple[np.ndarray
     both of shape (studies, weights); NaN where an error is what rounding of the scores can cause.
     """
     design, residual = regression.design, regression.residual
-    errors = residual @ np.hstack([*_turned(design, weights)])
+    groups = slice(design.combinations)
+    root = np.linalg.cholesky(design.inverse[groups, groups] / design.n)
+    errors = residual @ np.hstack([*(np.swapaxes(weights, 1, 2) @ root)])
     squares = (errors**2).sum(axis=1).reshape(len(residual), len(weights), -1).sum(axis=2)
     se = np.sqrt(squares / design.df_error)
     se = np.where(se * np.sqrt(design.n) > regression.rounding[:, None], se, np.nan)
-    return np.tensordot(regression.coefficients, weights, ((1, 2), (1, 2))), se
+    return np.tensordot(regression.coefficients[:, groups], weights, ((1, 2), (1, 2))), se
 
 
-def _turned(design: Design, weights: np.ndarray) -> np.ndarray:
-    """Return the weights of residuals in the errors of weighted sums of coefficients."""
-    return np.swapaxes(weights, 1, 2) @ np.linalg.cholesky(design.inverse / design.n)
-
-
-def factor_pairs(
-    regression: Regression, factor: Hashable, at: Hashable, level: float
+def compared(
+    pairs: pd.DataFrame,
+    difference: np.ndarray,
+    se: np.ndarray,
+    df: float,
+    sd: Any,
+    level: float = 0.95,
 ) -> pd.DataFrame:
-    """Return comparisons of levels of one study, each with the error of its own differences."""
-    design = regression.design
-    pairs, weights = level_pairs(design, factor, at)
-    (difference,), (se,) = differences(regression, weights)
-    # Standard errors over standard deviations of the differences; between groups there are none.
-    inside = (weights[:, 0] ** 2).sum(axis=1)
-    squares = (_turned(design, weights) ** 2).sum(axis=(1, 2))
-    scale = np.sqrt(squares / np.where(inside > 1e-12, inside, np.nan))
-    return compared(pairs, difference, se, design.df_error, scale, level)
-
-
-def friedman(values: np.ndarray) -> pd.DataFrame:
-    """Test whether the conditions' mean ranks differ; `values` has shape (n, k)."""
-    import pingouin
-
-    n, k = values.shape
-    test = pingouin.friedman(pd.DataFrame(values))  # a wide table: a row per subject
-    w = float(np.clip(test["W"].iloc[0], 0.0, 1.0))  # the bounds are exact: only rounding is cut
-    chi2 = n * (k - 1) * w
-    p = special.chdtrc(k - 1, chi2)
-    return pd.DataFrame([{"chi2": chi2, "df": k - 1, "p": p, "kendall_w": w}])
-
-
-def rank_pairs(values: np.ndarray) -> pd.DataFrame:
     """
-    Compare every pair of conditions by Wilcoxon's signed-rank test, by the rules of R's
-    wilcox.test: zero differences are left out; exact below 50 subjects without ties or zeros.
+    Return pairs with their tests, p-values adjusted within each level, and d_z by the standard
+    deviation of a subject's difference.
+    """
+    tests = estimates_of(difference, se, df, level).rename(columns={"estimate": "mean_difference"})
+    families = tests["p"].to_numpy().reshape(pairs["level"].nunique(dropna=False), -1)
+    scale = se / sd
+    low, high = d_z_interval(tests["t"].to_numpy(), df, scale, level)
+    return pairs.join(tests).assign(
+        df=df,
+        p_bonferroni=bonferroni(families).ravel(),
+        p_holm=holm(families).ravel(),
+        d_z=tests["t"] * scale,
+        d_z_low=low,
+        d_z_high=high,
+    )
+
+
+def of_pairs(scores: pd.DataFrame, test: Callable[..., dict]) -> pd.DataFrame:
+    """Return a test of every pair of conditions, a row each: a, b and what it returns."""
+    rows = [
+        {"a": a, "b": b} | test(x.to_numpy(), y.to_numpy())
+        for (a, x), (b, y) in combinations(scores.items(), 2)
+    ]
+    return pd.DataFrame(rows).astype({"a": object, "b": object})
+
+
+def signed_ranks(a: np.ndarray, b: np.ndarray) -> dict[str, Any]:
+    """
+    Return Wilcoxon's signed-rank test by the rules of R's wilcox.test: zero differences are left
+    out; exact below 50 subjects without ties or zeros.
     """
     # Ranked to twelve digits of the largest score: 0.3 − 0.2 and 0.2 − 0.1 are a tie.
-    grid = 10.0 ** (np.ceil(np.log10(np.abs(values).max())) - 12.0)
-    rows = []
-    for a, b in combinations(values.T, 2):
-        steps = np.round((a - b) / grid)
-        steps = steps[steps != 0.0]
-        ranks = stats.rankdata(np.abs(steps))
-        v, p, method, total = np.nan, np.nan, "not defined", ranks.sum()
-        if steps.size:
-            exact = np.unique(ranks).size == a.size < 50
-            method = "exact" if exact else "normal approximation, continuity corrected"
-            kind = "exact" if exact else "asymptotic"
-            v = ranks[steps > 0.0].sum()
-            p = stats.wilcoxon(steps, correction=not exact, method=kind).pvalue
-        rows.append((v, p, method, 2.0 * v / (total or 1.0) - 1.0, np.median(a - b)))
-    names = ["V", "p", "method", "rank_biserial", "median_difference"]
-    table = pd.DataFrame(rows, columns=names)
-    p = table["p"].to_numpy()
-    return table.assign(p_bonferroni=bonferroni(p), p_holm=holm(p))
+    largest = max(np.abs(a).max(), np.abs(b).max()) or 1.0
+    grid = 10.0 ** (np.ceil(np.log10(largest)) - 12.0)
+    steps = np.round((a - b) / grid)
+    steps = steps[steps != 0.0]
+    ranks = stats.rankdata(np.abs(steps))
+    v, p, method = np.nan, np.nan, "not defined"
+    if steps.size:
+        exact = np.unique(ranks).size == a.size < 50
+        method = "exact" if exact else "normal approximation, continuity corrected"
+        kind = "exact" if exact else "asymptotic"
+        v = ranks[steps > 0.0].sum()
+        p = stats.wilcoxon(steps, correction=not exact, method=kind).pvalue
+    return {
+        "V": v,
+        "p": p,
+        "method": method,
+        "rank_biserial": 2.0 * v / ranks.sum() - 1.0,
+        "median_difference": np.median(a - b),
+    }
 
 
-def normality_of_differences(values: np.ndarray) -> pd.DataFrame:
-    """
-    Return W and p of the Shapiro–Wilk test of the differences of every pair of conditions.
-
-    NaN where all differences are equal.
-    """
-    rounding = 8.0 * np.finfo(float).eps * np.abs(values).max()
-    rows = []
-    for a, b in combinations(values.T, 2):
-        x, row = a - b, (np.nan, np.nan)
-        if np.ptp(x) > rounding and x.size <= 5000:  # beyond, SciPy's p is not defined
-            row = stats.shapiro(x / np.abs(x).max())  # SciPy takes tiny differences for equal
-        rows.append(row)
-    return pd.DataFrame(rows, columns=["W", "p"])
+def normality(a: np.ndarray, b: np.ndarray) -> dict[str, float]:
+    """Return Shapiro and Wilk's W of the differences and its p; NaN where all are equal."""
+    x = a - b
+    w, p = np.nan, np.nan
+    rounding = 8.0 * np.finfo(float).eps * max(np.abs(a).max(), np.abs(b).max())
+    if np.ptp(x) > rounding and x.size <= 5000:  # beyond, SciPy's p is not defined
+        w, p = stats.shapiro(x / np.abs(x).max())  # SciPy takes tiny differences for equal
+    return {"W": w, "p": p}

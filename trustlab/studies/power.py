@@ -150,7 +150,7 @@ def simulated(
         scores, design = population.study(rng.standard_normal(size))
         tests = effects(scores, design)[[*TESTS.values()]]
         hits = (tests.to_numpy() < simulation.alpha).reshape(len(scores), -1).sum(axis=0)
-        names = product([effect_name(*effect) for effect in design.effects], TESTS)
+        names = product(map(effect_name, design.hypotheses), TESTS)
         counts.update(dict(zip(names, hits, strict=True)))
         if claims is None:
             continue

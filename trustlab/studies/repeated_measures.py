@@ -2,20 +2,19 @@
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import finite_array, one_of, open_unit
+from trustlab.models.checks import one_of, open_unit
 from trustlab.models.display import axes_or_new
 from trustlab.studies import pairs
 from trustlab.studies.anova import (
     CORRECTIONS,
     Design,
-    Regression,
     effect_name,
     effects,
     partial_eta_interval,
@@ -30,6 +29,7 @@ from trustlab.studies.table import (
     mark,
     names_of,
     numbers_of,
+    origin_of,
     read_cells,
     read_factors,
 )
@@ -112,9 +112,10 @@ class RepeatedMeasures(Tested):
             two 95 % intervals of the mean: ci_low and ci_high between subjects, ci_low_within and
             ci_high_within after Cousineau and Morey.
         """
-        groups = [*self.design.groups.values()]
-        people: Any = self.scores.groupby(groups) if groups else [((), self.scores)]
-        stats = pd.concat([describe(part.to_numpy()) for _, part in people], ignore_index=True)
+        # Without their names: True and False would choose columns.
+        scores = pd.DataFrame(self.scores.to_numpy())
+        people = scores.groupby(self.design.group)
+        stats = pd.concat([describe(group) for _, group in people], ignore_index=True)
         names = ["condition"] if self.one_way else [*self.between, *self.within]
         cells = [*product(*self.between.values(), *self.within.values())]
         return labelled(pd.DataFrame(cells, columns=names, dtype=object).join(stats), self.origin)
@@ -162,36 +163,44 @@ class RepeatedMeasures(Tested):
             self._refuse_several_factors('pairs(method="wilcoxon")')
             if (factor, at, level) != (None, None, 0.95):
                 raise ValueError("factor, at and confidence have no effect on ranks")
-            names = pd.DataFrame(combinations(self.conditions, 2), columns=["a", "b"], dtype=object)
-            return labelled(names.join(pairs.rank_pairs(self.scores.to_numpy())), self.origin)
+            table = pairs.of_pairs(self.scores, pairs.signed_ranks)
+            p = table["p"].to_numpy()
+            table = table.assign(p_bonferroni=pairs.bonferroni(p), p_holm=pairs.holm(p))
+            return labelled(table, self.origin)
         if factor is None and len(self.within) == 1:
             factor = next(iter(self.within))
-        table = pairs.factor_pairs(self._regression(), factor, at, level).drop(columns="se")
+        names, weights = pairs.level_pairs(self.design, factor, at)
+        regression = regress(self.scores.to_numpy()[None], self.design)
+        (difference,), (se,) = pairs.differences(regression, weights)
+        sd = np.sqrt(np.diagonal(regression.covariance(weights.sum(axis=1).T)[0]))
+        sd = np.where(factor in self.between, np.nan, sd)
+        table = pairs.compared(names, difference, se, self.design.df_error, sd, level)
+        table = table.drop(columns="se")
         if self.one_way:
-            sd = self.scores.std().to_numpy()
-            a, b = np.triu_indices(self.k, 1)
-            both = 0.5 * (sd[a] + sd[b])
-            d_av = table["mean_difference"] / np.where(both > 0.0, both, np.nan)
+            both = 0.5 * np.abs(weights[:, 0]) @ self.scores.std()
+            d_av = difference / np.where(both > 0.0, both, np.nan)
             table = table.drop(columns="level").assign(d_av=d_av)
         return labelled(table, self.origin)
 
-    def _regression(self) -> Regression:
-        return regress(self.scores.to_numpy()[None], self.design)
-
     def residual_covariance(self) -> np.ndarray:
         """Return the covariance of the cells, given the groups."""
-        return self._regression().covariance(np.eye(self.k))[0]
+        regression = regress(self.scores.to_numpy()[None], self.design)
+        return regression.covariance(np.eye(self.k))[0]
 
     def normality(self) -> pd.DataFrame:
         """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
         self._refuse_several_factors("normality()")
-        tests = pairs.normality_of_differences(self.scores.to_numpy())
-        return labelled(pd.concat([self.pairs()[["a", "b"]], tests], axis=1), self.origin)
+        return labelled(pairs.of_pairs(self.scores, pairs.normality), self.origin)
 
     def friedman(self) -> pd.DataFrame:
         """Return Friedman's rank test of one factor: columns chi2, df, p, kendall_w."""
         self._refuse_several_factors("friedman()")
-        return labelled(pairs.friedman(self.scores.to_numpy()), self.origin)
+        import pingouin
+
+        names = {"Q": "chi2", "ddof1": "df", "p_unc": "p", "W": "kendall_w"}
+        # A wide table: a row per subject.
+        test = pingouin.friedman(pd.DataFrame(self.scores.to_numpy()))[[*names]]
+        return labelled(test.rename(columns=names).reset_index(drop=True), self.origin)
 
     def assumptions(self) -> pd.DataFrame:
         """
@@ -203,16 +212,15 @@ class RepeatedMeasures(Tested):
             Columns p_shapiro_least (of all pairs' differences), pairs_not_normal (p below alpha
             after Holm's adjustment), p_anova (corrected), friedman_chi2, p_friedman, kendall_w.
         """
-        normality, ranks = self.normality()["p"], self.friedman().loc[0]
+        p = self.normality()["p"]
         row = {
-            "p_shapiro_least": normality.min(),
-            "pairs_not_normal": int((pairs.holm(normality.to_numpy()) < self.alpha).sum()),
+            "p_shapiro_least": p.min(),
+            "pairs_not_normal": (pairs.holm(p.to_numpy()) < self.alpha).sum(),
             "p_anova": self.p_corrected,
-            "friedman_chi2": ranks["chi2"],
-            "p_friedman": ranks["p"],
-            "kendall_w": ranks["kendall_w"],
         }
-        return labelled(pd.DataFrame([row]), self.origin)
+        ranks = self.friedman().drop(columns="df")
+        ranks = ranks.rename(columns={"chi2": "friedman_chi2", "p": "p_friedman"})
+        return labelled(pd.DataFrame([row]).join(ranks), self.origin)
 
     def apa(self, adjust: str = "holm") -> str:
         """
@@ -258,7 +266,7 @@ class RepeatedMeasures(Tested):
         return axes
 
 
-def describe(values: np.ndarray) -> pd.DataFrame:
+def describe(scores: pd.DataFrame) -> pd.DataFrame:
     """
     Return n mean sd se median minimum maximum of every condition, and both intervals of the mean.
 
@@ -266,18 +274,15 @@ def describe(values: np.ndarray) -> pd.DataFrame:
     subjects sees; the factor √(k/(k − 1)) (Morey, 2008) compensates for the variance that this
     removes.
     """
-    n, k = values.shape
-    mean, sd = values.mean(axis=0), values.std(axis=0, ddof=1)
-    stats = {"n": n, "mean": mean, "sd": sd, "se": sd / np.sqrt(n)}
-    stats["median"] = np.median(values, axis=0)
-    stats |= {"minimum": values.min(axis=0), "maximum": values.max(axis=0)}
-    centred = values - values.mean()  # a common offset would cost digits in the subjects' means
-    inside = centred - centred.mean(axis=1, keepdims=True)
-    within = inside.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
-    width = special.stdtrit(n - 1, 0.975) / np.sqrt(n)
-    for end, spread in {"": sd, "_within": within}.items():
-        stats |= {f"ci_low{end}": mean - width * spread, f"ci_high{end}": mean + width * spread}
-    return pd.DataFrame(stats)
+    n, k = scores.shape
+    stats = scores.agg(["count", "mean", "std", "sem", "median", "min", "max"]).T
+    stats.columns = ["n", "mean", "sd", "se", "median", "minimum", "maximum"]
+    inside = scores.sub(scores.mean(axis=1), axis=0).std() * np.sqrt(k / (k - 1.0))
+    half = special.stdtrit(n - 1, 0.975) / np.sqrt(n)
+    for end, sd in {"": stats["sd"], "_within": inside}.items():
+        stats[f"ci_low{end}"] = stats["mean"] - half * sd
+        stats[f"ci_high{end}"] = stats["mean"] + half * sd
+    return stats.astype({"n": int})
 
 
 def repeated_measures(
@@ -351,30 +356,27 @@ def repeated_measures(
     alpha = open_unit("alpha", alpha)
     if not names_of(within):
         raise ValueError("within must name a column")
-    levels, groups = read_factors(frame, dv, within, subject, between, order, covariates)
-    cells = read_cells(frame, dv, levels, subject)
+    table, levels, groups = read_factors(frame, dv, within, subject, between, order, covariates)
+    cells = read_cells(table, levels, dv, subject)
     call = f"tl.mixed_model(frame, {dv!r}, {within!r}, {subject!r}, between={between!r})"
     remedy = "leave them out with missing='listwise'"
     if not covariates:
         remedy += f"; or call {call}, which takes missing cells"
     scores, excluded = complete_scores(cells, dv, missing, remedy)
-    design = _design(frame, scores, subject, levels, groups, names_of(covariates))
+    design = _design(table, scores, subject, levels, groups, names_of(covariates))
     tests = effects(scores.to_numpy()[None], design).loc[0].reset_index()
-    origin = scores.attrs.get("origin", "")
-    rows = [
-        {"dv": dv, "within": effect_name((), (*levels,)), "effect": row.pop("effect")}
-        | {"n": design.n, "k": scores.shape[1]}
-        | row
-        | _corrected(row, design, correction)
-        | {"alpha": alpha, "excluded": len(excluded), "origin": origin}
-        for row in tests.to_dict("records")
-    ]
-    table = labelled(pd.DataFrame(rows), origin)
-    return RepeatedMeasures(scores, design, table, excluded, correction)
+    tests = tests.assign(**_corrected(tests, design, correction), alpha=alpha)
+    origin = origin_of(frame)
+    tests = tests.assign(excluded=len(excluded), origin=origin)
+    tests.insert(0, "dv", [dv] * len(tests))
+    tests.insert(1, "within", effect_name(levels))
+    tests.insert(3, "n", design.n)
+    tests.insert(4, "k", scores.shape[1])
+    return RepeatedMeasures(scores, design, labelled(tests, origin), excluded, correction)
 
 
 def _design(
-    frame: pd.DataFrame,
+    table: pd.DataFrame,
     scores: pd.DataFrame,
     subject: Hashable,
     levels: Levels,
@@ -382,52 +384,45 @@ def _design(
     covariates: list[Hashable],
 ) -> Design:
     """Return the design of the subjects whose scores are complete."""
-    people = frame.drop_duplicates(subject).set_index(subject).loc[scores.index]
+    people = table.drop_duplicates(subject).set_index(subject).loc[scores.index]
     codes, numbers = {}, {}
     for name, listed in groups.items():
-        members = people[name].tolist()
-        if min(map(members.count, listed)) < 2:
+        codes[name] = people[name].cat.codes.to_numpy()
+        if people[name].value_counts().min() < 2:
             raise ValueError(
                 f"between: every group of column {name!r}, {listed}, needs two complete "
-                f"participants, got {members}"
+                f"participants, got {people[name].tolist()}"
             )
-        codes[name] = np.array([*map(listed.index, members)])
     for name in covariates:
-        x = finite_array("covariates", numbers_of(people[name], "covariates"))
+        x = numbers_of(people[name], "covariates")
         numbers[name] = (x - x.mean()) / (x.std() or 1.0)
     design = Design(len(scores), levels, groups, codes, numbers)
     columns = design.matrix.shape[1]
-    if np.linalg.matrix_rank(design.matrix) < columns:
+    if np.linalg.matrix_rank(design.matrix) < columns or design.df_error < 1:
         raise ValueError(
             f"{'covariates' if covariates else 'between'}: effects of {[*groups, *covariates]} are "
-            "not defined: some combination of groups has no participant, or a covariate follows "
-            "from them"
-        )
-    if design.df_error < 1:
-        raise ValueError(
-            f"subject: {design.n} participants {[*scores.index]} for {columns} parameters leave "
-            "nothing to estimate the error from"
+            "not defined: some combination of groups has no participant, a covariate follows from "
+            f"them, or {columns} parameters are too many for {design.n} participants"
         )
     return design
 
 
-def _corrected(test: dict, design: Design, correction: str) -> dict[str, Any]:
-    """Return a test with the correction that applies, and the interval of partial η²."""
-    d = test["df2"] // design.df_error
-    if d == 1:
-        correction = "none"  # sphericity always holds
+def _corrected(tests: pd.DataFrame, design: Design, correction: str) -> dict[str, Any]:
+    """Return columns of the correction that applies, and the interval of partial η²."""
     end = CORRECTIONS[correction]
-    epsilon = test.get(f"epsilon{end}", 1.0)
-    df1, df2 = test["df1"] * epsilon, test["df2"] * epsilon
-    interval = partial_eta_interval(test["F"], df1, df2)
+    epsilon = tests.get(f"epsilon{end}", 1.0)
+    df1, df2 = tests["df1"] * epsilon, tests["df2"] * epsilon
+    d = tests["df2"] // design.df_error
+    ends = zip(tests["F"], df1, df2, strict=True)
+    strengths = np.array([partial_eta_interval(*numbers)[2:] for numbers in ends]).T
     # λ = n d ε η²/(1 − η²) in the population, for d contrasts within subjects.
     total = df2 + epsilon * (design.n - design.df_error) * d
-    low, high = interval.noncentrality_low, interval.noncentrality_high
+    low, high = strengths / (strengths + total.to_numpy())
     return {
-        "correction": correction,
+        "correction": np.where(d > 1, correction, "none"),  # of one, sphericity always holds
         "df1_corrected": df1,
         "df2_corrected": df2,
-        "p_corrected": test[f"p{end}"],
-        "eta2_partial_low": low / (low + total),
-        "eta2_partial_high": high / (high + total),
+        "p_corrected": tests[f"p{end}"],
+        "eta2_partial_low": low,
+        "eta2_partial_high": high,
     }

@@ -1,7 +1,7 @@
 """The one reader of tables: columns by name, labels, numbers, scores as subjects × conditions."""
 
-from collections.abc import Hashable, Mapping, Sequence
-from itertools import chain, product
+from collections.abc import Hashable, Iterable, Sequence
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -198,74 +198,80 @@ def read_factors(
     between: Any = None,
     order: Any = None,
     covariates: Any = None,
-) -> tuple[Levels, Levels]:
+) -> tuple[pd.DataFrame, Levels, Levels]:
     """
-    Return the levels of every factor within and between subjects of a long table, whose columns are
-    checked. `order` has the levels of a single factor (that within), or of several by name.
+    Return a long table with subjects and factors as categories, and the levels of the factors
+    within and between subjects. `order` has the levels of a single factor (that within), or of
+    several by name.
     """
     of_class("frame", frame, pd.DataFrame, "with a row per subject and condition")
     within, between, covariates = map(names_of, (within, between, covariates))
     factors = within + between
     if not factors or frame.empty:
         raise ValueError("within and between name no factor, or frame has no rows")
-    parts = {"dv": [dv], "within": within, "between": between, "covariates": covariates}
-    parts["subject"] = [subject]
-    for argument, names in parts.items():
+    columns = {"dv": [dv], "within": within, "between": between, "covariates": covariates}
+    columns["subject"] = [subject]
+    arguments = {}
+    for argument, names in columns.items():
         for name in names:
             (column_of if argument == "dv" else label_column)(frame, argument, name)
-    if len({*chain(*parts.values())}) < 2 + len(factors) + len(covariates):
-        raise ValueError(f"columns must be different for every argument: {parts}")
+            arguments[name] = argument
+    if len(arguments) < 2 + len(factors) + len(covariates):
+        raise ValueError(f"columns must be different for every argument: {columns}")
     if order is not None and not isinstance(order, dict):
         single = len(within or between) == 1
         order = {factors[0]: order} if single else of_class("order", order, dict)
     order = order or {}
     if unknown := [name for name in order if name not in factors]:
         raise ValueError(f"order: {unknown[0]!r} is not a factor of this design: {factors}")
+    table, levels = frame.copy(), {}
+    for name in [subject, *factors]:
+        levels[name] = levels_of(frame[name], arguments[name], order.get(name))
+        table[name] = pd.Categorical(frame[name].tolist(), labels_index(levels[name]))
+        if len(levels[name]) < 2 and name != subject:
+            raise ValueError(
+                f"{arguments[name]}: column {name!r} has one condition only, {levels[name]}"
+            )
     labels = frame[factors + covariates].groupby(frame[subject], sort=False).nunique()
-    levels = {}
-    for name in factors:
-        argument = "within" if name in within else "between"
-        levels[name] = levels_of(frame[name], argument, order.get(name))
-        if len(levels[name]) < 2:
-            raise ValueError(f"{argument}: column {name!r} has one condition only, {levels[name]}")
-        if name in within and labels[name].max() == 1:
+    for name in factors + covariates:
+        several = labels.index[labels[name] > 1].tolist()
+        if name in within and not several:
             raise ValueError(
                 f"within: column {name!r} has one label for every person; give between={name!r}"
             )
-    for name in between + covariates:
-        for person in labels.index[labels[name] > 1]:
-            argument = "between" if name in between else "covariates"
+        if name not in within and several:
             raise ValueError(
-                f"{argument}: subject {person!r} has several labels in column {name!r}"
+                f"{arguments[name]}: subject {several[0]!r} has several labels in column {name!r}"
             )
-    return {name: levels[name] for name in within}, {name: levels[name] for name in between}
+    inside, groups = ({name: levels[name] for name in names} for names in (within, between))
+    return table, inside, groups
+
+
+def labels_index(labels: Iterable) -> pd.Index:
+    """Return labels as an index; tuples stay one label each."""
+    return pd.Index(labels, dtype=object, tupleize_cols=False)
 
 
 def read_cells(
-    frame: pd.DataFrame, dv: Hashable, levels: Mapping[Hashable, tuple], subject: Hashable
+    table: pd.DataFrame, levels: Levels, dv: Hashable, subject: Hashable
 ) -> pd.DataFrame:
     """
     Return the scores of all subjects, a row each, in all cells of the factors, NaN where there is
     none; the last factor varies fastest, and its cells are called by tuples of levels.
     """
-    scores = numbers_of(frame[dv], "dv")
-    labels = {subject: levels_of(frame[subject], "subject"), **levels}
-    for row in frame.index[frame.duplicated([*labels])]:
+    scores = numbers_of(table[dv], "dv")
+    names = [subject, *levels]
+    for row in table.index[table.duplicated(names)]:
         raise ValueError(
             f"frame has more than one row for a cell, such as row {row!r}; average the trials of a "
-            f"cell first: frame.groupby({[*labels]}, as_index=False)[{dv!r}].mean()"
+            f"cell first: frame.groupby({names}, as_index=False)[{dv!r}].mean()"
         )
-    values = np.full([*map(len, labels.values())], np.nan)
-    values[*([*map(labels[name].index, frame[name].tolist())] for name in labels)] = scores
+    subjects = table[subject].cat.categories
+    values = np.full([len(subjects), *map(len, levels.values())], np.nan)
+    values[*(table[name].cat.codes for name in names)] = scores
     cells = [*product(*levels.values())] if len(levels) > 1 else next(iter(levels.values()))
-    return labelled(
-        pd.DataFrame(
-            values.reshape(len(values), -1),
-            pd.Index(labels[subject], dtype=object, tupleize_cols=False),
-            pd.Index(cells, dtype=object, tupleize_cols=False),
-        ),
-        origin_of(frame),
-    )
+    wide = pd.DataFrame(values.reshape(len(subjects), -1), subjects, labels_index(cells))
+    return labelled(wide, origin_of(table))
 
 
 def complete_scores(
@@ -276,23 +282,21 @@ def complete_scores(
     (missing="listwise").
     """
     one_of("missing", missing, ("raise", "listwise"))
-    absent = scores.isna().to_numpy()
+    complete = scores.notna().all(axis=1)
     gaps = [
         f"subject {subject!r} has no score in condition "
-        f"{', '.join(map(repr, scores.columns[cells]))}"
-        for subject, cells in zip(scores.index, absent, strict=True)
-        if cells.any()
+        f"{', '.join(map(repr, row.index[row.isna()]))}"
+        for subject, row in scores[~complete].iterrows()
     ]
-    more = f"; and {len(gaps) - _SHOWN} more" if len(gaps) > _SHOWN else ""
-    shown_gaps = "; ".join(gaps[:_SHOWN]) + more
+    if len(gaps) > _SHOWN:
+        gaps[_SHOWN:] = [f"and {len(gaps) - _SHOWN} more"]
     if gaps and missing == "raise":
         raise ValueError(
-            f"missing cells in {dv!r}: {shown_gaps}. Complete these subjects, or {remedy}"
+            f"missing cells in {dv!r}: {'; '.join(gaps)}. Complete these subjects, or {remedy}"
         )
-    complete = ~absent.any(axis=1)
     if complete.sum() < 3:
         raise ValueError(
             f"subject: {counted(complete.sum(), 'complete subject')} with scores in {dv!r}; at "
-            f"least three are needed. {shown_gaps}"
+            f"least three are needed. {'; '.join(gaps)}"
         )
     return scores[complete], tuple(scores.index[~complete])

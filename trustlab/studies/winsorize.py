@@ -1,6 +1,6 @@
 """Winsorizing: outlying values are replaced by an explicit rule, and every change is listed."""
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,13 +11,18 @@ from trustlab.models.checks import of_class, one_of, positive
 from trustlab.models.display import Result
 from trustlab.studies.table import column_of, label_column, levels_of, numbers_of
 
-# Which values count as outlying, by the name of the rule and its k.
-OUTLIER_RULES = {
-    "sd": "values outside mean ± {k:g} standard deviations",
-    "mad": "values outside median ± {k:g} scaled median absolute deviations",
-    "iqr": "values outside the quartiles ± {k:g} interquartile ranges",
+# Which values count as outlying: words for the rule and its k; the middle, or two, and the spread.
+_RULES: dict[str, tuple[str, Callable]] = {
+    "sd": ("mean ± {} standard deviations", lambda x: (x.mean(), x.std(ddof=1))),
+    "mad": (
+        "median ± {} scaled median absolute deviations",
+        lambda x: (np.median(x), stats.median_abs_deviation(x, scale="normal")),
+    ),
+    "iqr": (
+        "the quartiles ± {} interquartile ranges",
+        lambda x: (np.quantile(x, [0.25, 0.75]), stats.iqr(x)),
+    ),
 }
-
 _TARGETS = {"limit": "set to that limit", "next": "set to the next most extreme value"}
 
 
@@ -69,19 +74,6 @@ class Winsorized(Result):
             f"{len(self.changes)} of {total} values {verb} winsorized ({'; '.join(parts)}). "
             f"Rule: {self.rule}."
         )
-
-
-def _limits(x: np.ndarray, outside: str, k: float) -> np.ndarray:
-    """Return the two limits beyond which values are outlying; NaN where most are equal."""
-    centre, spread = x.mean(), x.std(ddof=1)
-    if outside == "iqr":
-        centre = np.quantile(x, [0.25, 0.75])
-        spread = np.ptp(centre)
-    elif outside == "mad":
-        centre, spread = np.median(x), stats.median_abs_deviation(x, scale="normal")
-    if spread == 0.0 and np.ptp(x) > 0.0:
-        spread = np.nan
-    return centre + k * spread * np.array([-1.0, 1.0])
 
 
 def winsorize(
@@ -138,20 +130,21 @@ def winsorize(
     0        4         A  9.0  1.544781
     1        4         B  9.0  1.544781
     """
-    one_of("outside", outside, OUTLIER_RULES)
+    words, middle_and_spread = _RULES[one_of("outside", outside, _RULES)]
     one_of("to", to, _TARGETS)
     k = positive("k", k)
     of_class("data", data, pd.DataFrame, "with a row per subject and condition")
     people = label_column(data, "subject", subject)
     scores = numbers_of(column_of(data, "dv", dv), "dv")
-    levels = levels_of(label_column(data, "within", within), "within")
-    if not levels:
-        raise ValueError("data has no rows")
+    conditions = label_column(data, "within", within)
     changes, limits = [], []
-    for condition in levels:
-        rows = np.flatnonzero((data[within] == condition) & np.isfinite(scores))
+    for condition in levels_of(conditions, "within"):
+        rows = np.flatnonzero((conditions == condition) & np.isfinite(scores))
         old = scores[rows]
-        low, high = _limits(old, outside, k) if old.size > 2 else (np.nan, np.nan)
+        middle, spread = middle_and_spread(old) if old.size > 2 else (np.nan, np.nan)
+        # A spread of 0 where not all values are equal tells nothing.
+        spread = np.nan if spread == 0.0 < np.ptp(old) else spread
+        low, high = middle + k * spread * np.array([-1.0, 1.0])
         inside = old[(old >= low) & (old <= high)]
         if not inside.size:
             raise ValueError(
@@ -163,11 +156,13 @@ def winsorize(
         changes.append(pd.DataFrame(moves).query("old != new"))
         limits.append((condition, old.size, low, high, len(changes[-1])))
         scores[rows] = new
+    if not changes:
+        raise ValueError("data has no rows")
     result = data.copy()
     result[dv] = scores
     return Winsorized(
         data=result,
         changes=pd.concat(changes, ignore_index=True),
         limits=pd.DataFrame(limits, columns=["condition", "n", "low", "high", "changed"]),
-        rule=f"{OUTLIER_RULES[outside].format(k=k)} by condition, {_TARGETS[to]}",
+        rule=f"values outside {words.format(f'{k:g}')} by condition, {_TARGETS[to]}",
     )

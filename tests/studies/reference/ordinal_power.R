@@ -1,4 +1,4 @@
-# Power of tests/studies/test_ordinal_power.py: studies simulated and tested by clmm of ordinal.
+# Power of tests/studies/test_ordinal.py: studies simulated and tested by clmm of ordinal.
 # Run in this folder: Rscript ordinal_power.R    (ordinal, jsonlite; writes ordinal_power.json)
 suppressPackageStartupMessages({
   library(ordinal)
