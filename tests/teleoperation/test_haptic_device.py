@@ -7,13 +7,11 @@ import re
 import control
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from trustlab.teleoperation.ports.device import HapticDevice, PassivityError
 
 PRELIMINARY = {"damping": 0.55, "stiffness": 100.0, "weight": 60.0}
 MAIN = {"damping": 5.5, "stiffness": 20.0, "weight": 10.0}
-SETTINGS = settings(max_examples=60, deadline=None, derandomize=True)
 
 
 def random_device(rng, share):
@@ -79,26 +77,18 @@ def test_heaviest_device_of_the_preliminary_study():
 
 
 @pytest.mark.parametrize("share", [0.5, 0.98, 1.02, 3.0])
+@pytest.mark.parametrize("port_damping", [0.0, 0.4])
 @pytest.mark.parametrize("gains", [PRELIMINARY, MAIN], ids=["preliminary", "main"])
-def test_python_control_agrees_on_passivity(gains, share):
-    m = share * HapticDevice(mass=1e-3, **gains).largest_mass()
-    device = HapticDevice(mass=m, require_passive=False, **gains)
-    d, k, w = gains["damping"], gains["stiffness"], gains["weight"]
+def test_python_control_agrees_on_passivity(gains, port_damping, share):
+    """With what the channel adds at the port: a damper that moves with r = v + w x."""
+    scaled = gains | {"force_scaling": 1.5, "port_damping": port_damping}
+    m = share * HapticDevice(mass=1e-3, **scaled).largest_mass()
+    device = HapticDevice(mass=m, require_passive=False, **scaled)
+    w, added = gains["weight"], 1.5 * port_damping
+    d, k = gains["damping"] + added, gains["stiffness"] + added * w
     a, b, c = [[0.0, 1.0], [-k / m, -d / m]], [[0.0], [1.0 / m]], [[w, 1.0]]
     assert device.is_passive == (share < 1.0)
     assert bool(control.ispassive(control.ss(a, b, c, np.zeros((1, 1))))) == device.is_passive
-
-
-@SETTINGS
-@given(st.integers(0, 10_000), st.floats(0.0, 2.0))
-def test_passive_exactly_where_storage_and_loss_are_positive(seed, port_damping):
-    """Oracle: both conditions (3.9)-(3.10), with what the channel adds at the port."""
-    rng = np.random.default_rng([34, seed])
-    mass, damping, stiffness, weight = rng.uniform(0.05, 3.0, 4)
-    device = HapticDevice(mass, damping, stiffness, weight, 1.5, port_damping, False)
-    b, k = damping + 1.5 * port_damping, stiffness + 1.5 * port_damping * weight
-    conditions = [b - mass * weight, k + weight * b - weight * mass * weight]
-    assert device.is_passive == (min(conditions) >= 0.0)
 
 
 NUMBER = r"([-+]?\d[\d.]*(?:e[-+]?\d+)?)"
