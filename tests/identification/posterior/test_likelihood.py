@@ -14,7 +14,7 @@ from scipy import stats
 import trustlab as tl
 from tests.identification.posterior import simulated_logs
 from trustlab.identification.log import read_runs
-from trustlab.identification.noise import filter_columns, process
+from trustlab.identification.noise import Noise, filter_columns, process, whiten
 from trustlab.identification.posterior import density as kernel
 from trustlab.identification.posterior.density import (
     as_prior,
@@ -58,17 +58,28 @@ def test_the_kalman_filter_gives_the_dense_density(seed):
     white, slow, seconds = np.exp(rng.normal([-5.0, -5.0, 1.0], 1.0))
     errors = 0.01 * rng.standard_normal(40)
     noise = process(white, slow, np.exp(-0.1 / seconds), 10)
-    covariance = dense_covariance(white, slow, seconds, 10, 40)
+    share = slow**2 / (white**2 + slow**2)
+    of_blocks = dense_covariance(white, slow, seconds, 10, 40)
+    of_samples = dense_covariance((1.0 - share) ** 0.5, share**0.5, seconds, 1, 40)
+
+    def density(covariance, known):
+        there = stats.multivariate_normal(cov=covariance[np.ix_(known, known)])
+        return there.logpdf(errors[known])
+
+    def density_of(scaled, logs, known):
+        return -0.5 * (logs + np.sum(scaled**2) + known.sum() * np.log(2.0 * np.pi))
 
     def density_by_filter(known, noise):
         scaled = np.empty((40, 1))
         logs = filter_columns(errors[:, None], known, noise, scaled)
-        return -0.5 * (logs + np.sum(scaled**2) + known.sum() * np.log(2.0 * np.pi))
+        return density_of(scaled, logs, known)
 
     for known in (np.ones(40, bool), rng.random(40) < 0.7):
-        there = stats.multivariate_normal(cov=covariance[np.ix_(known, known)])
-        expected = there.logpdf(errors[known])
+        expected = density(of_blocks, known)
         assert density_by_filter(known, noise) == pytest.approx(expected, rel=1e-9)
+        whitened = whiten(errors[:, None], known, Noise(share, np.exp(-0.1 / seconds)))
+        by_samples = pytest.approx(density(of_samples, known), rel=1e-9)
+        assert density_of(*whitened, known) == by_samples
         # Negative control: correlation within a block that is forgotten between blocks.
         apart = noise._replace(both=0.0)
         assert density_by_filter(known, apart) != pytest.approx(expected, rel=1e-6)
