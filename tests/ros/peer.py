@@ -3,14 +3,11 @@ A robot and a person behind DDS by Cyclone alone: no ROS, another vendor, no cod
 
     python peer.py robot,operator seconds log.csv
     python peer.py robot,operator,stop seconds log.csv stops.csv
-    python peer.py hostile seconds log.csv commands.csv
 
 The robot is a unicycle with a watchdog of 0.5 s. It writes time, applied v and w, age of the latest
 command, the time from odometry to the command that answers it, and the stamp that it sends [ns],
 each tick. Who stops presses stop and release in turn, while the robot drives, and writes after how
-many seconds the robot had heard 0. The hostile one sends from the fifth second on what no robot
-should, one fault of one topic after another; it writes time, v, w, topic and fault, and each
-command into a second file.
+many seconds the robot had heard 0.
 """
 
 import math
@@ -149,65 +146,6 @@ class Robot:
         self.out["pose"].write(stamped_pose(x, y, yaw, stamp))
 
 
-PHASE = 0.5
-TOPICS = ("pose", "path_error", "autonomy/cmd_vel", "operator/cmd_vel")
-FAULTS = ("nan", "inf", "-inf", "1e300", "1e5", "signs", "silent", "sixty")
-PHASES = [(topic, fault) for topic in TOPICS for fault in FAULTS]
-
-
-class Hostile(Robot):
-    """A robot and a person whose messages have faults."""
-
-    def __init__(self, domain, log, received):
-        super().__init__(domain, log)
-        self.received = received
-        topic = Topic(domain, "rt/operator/cmd_vel", Twist)
-        self.out["operator/cmd_vel"] = DataWriter(domain, topic, qos=RELIABLE)
-        self.began = time.monotonic()
-        self.sign = 1
-
-    def listen(self):
-        for command in self.commands.take(50):
-            if hasattr(command, "linear"):
-                row = (time.monotonic(), command.linear.x, command.angular.z)
-                print(*row, sep=",", file=self.received, flush=True)
-                self.command, self.heard = (command.linear.x, command.angular.z), row[0]
-
-    def tick(self):
-        now = time.monotonic() - self.began
-        phase = int((now - 5.0) / PHASE)
-        topic, fault = PHASES[phase] if 0 <= phase < len(PHASES) else ("", "")
-        self.sign = -self.sign
-        v, w = self.command
-        x, y, yaw = self.pose
-        yaw += w * PERIOD
-        self.pose = (x + v * math.cos(yaw) * PERIOD, y + v * math.sin(yaw) * PERIOD, yaw)
-        for name in ("operator/cmd_vel", "autonomy/cmd_vel", "path_error", "pose"):
-            bad = fault if name == topic else ""
-            if bad != "silent":
-                for _ in range(60 if bad == "sixty" else 1):
-                    self.out[name].write(self.message(name, bad))
-        print(now, v, w, topic, fault, sep=",", file=self.log, flush=True)
-
-    def message(self, name, bad):
-        absurd = {"": None, "sixty": None, "signs": 3.0 * self.sign}.get(bad, bad)
-        absurd = float(absurd) if isinstance(absurd, str) else absurd
-        if name == "pose":
-            x, y, yaw = self.pose
-            # signs: a clock an hour before and behind, and another frame
-            away = 3600 * 10**9 * self.sign if bad == "signs" else 0
-            pose = stamped_pose(x, y, yaw, max(time.time_ns() + away, 0))
-            if bad == "signs":
-                pose.header.frame_id = "moon"
-            elif absurd is not None:
-                pose.pose.position.x = absurd
-            return pose
-        if name == "path_error":
-            x, y, _ = self.pose
-            return Float64(abs(math.hypot(x, y) - 4.0) if absurd is None else absurd)
-        return twist(0.4, 0.1) if absurd is None else twist(absurd, absurd)
-
-
 class Operator:
     def __init__(self, domain):
         topic = Topic(domain, "rt/operator/cmd_vel", Twist)
@@ -259,7 +197,6 @@ def main():
     with open(sys.argv[3], "w") as log, open(sys.argv[-1], "a") as received:
         parts = [Robot(domain, log)] if "robot" in roles else []
         parts += [Stopper(domain, parts[0], received)] if "stop" in roles else []
-        parts += [Hostile(domain, log, received)] if "hostile" in roles else []
         parts = ([Operator(domain)] if "operator" in roles else []) + parts
         due = time.monotonic()
         while time.monotonic() < end:
