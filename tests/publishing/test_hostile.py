@@ -10,7 +10,6 @@ import html
 import re
 from types import SimpleNamespace
 
-import networkx as nx
 import numpy as np
 import pandas as pd
 import pytest
@@ -20,7 +19,6 @@ import trustlab as tl
 from tests.publishing.world import ROOT, chromium, make, publish, write_book
 from trustlab.models.display import as_html
 from trustlab.publishing.tables import table_html
-from trustlab.teleoperation import TeamTrial
 
 FIRE = "window.top.fired=(window.top.fired||0)+1"
 AWAY = "https://attacker.invalid/"
@@ -97,27 +95,8 @@ def scores():
     return frame
 
 
-class Policy:
-    title = NAME
-
-    def leader(self, now):
-        return 0
-
-
-def team():
-    graph = nx.relabel_nodes(nx.complete_graph(3), {i: f"{NAME} {i}" for i in range(3)})
-    return tl.simulate_team(graph, policy=Policy(), duration=6.0, trial=TeamTrial(0.01))
-
-
-def session():
-    data = pd.DataFrame({"p_r": 0.5}, index=pd.Index(np.arange(40) * 0.1, name="t"))
-    return tl.Session(data, tl.Metadata(NAME, NAME, NAME, False, {"trial": NAME, "note": NAME}))
-
-
 RESULTS = {
     "all parts": lambda: as_html(NAME, scores(), scores().T.set_index(0), title=NAME),
-    "session": lambda: session()._repr_html_(),
-    "team": lambda: team()._repr_html_(),
     "report": lambda: tl.report(
         scores(), **dict(zip(("subject", "within", "dv"), scores(), strict=True))
     )._repr_html_(),
