@@ -165,13 +165,6 @@ def test_schemes_of_ones_own_allocate_and_lead(tmp_path):
         tl.LiveTeam("by_hand", settings, log=tmp_path / "b.jsonl")
 
 
-def test_thresholds_that_have_no_effect_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="no effect in C5"):
-        tl.LiveGroundRobot("C5", MODEL, (0.0, 0.35), log=tmp_path / "a.jsonl")
-    with pytest.raises(ValueError, match="laps must be a whole number, from 1 to 8, got 9"):
-        tl.LiveGroundRobot("C1", MODEL, laps=9, log=tmp_path / "a.jsonl")
-
-
 # in Chromium
 # --------------------------------------------------------------------------------------------------
 

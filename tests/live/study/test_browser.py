@@ -275,20 +275,19 @@ FRAMES = """() => {
 }"""
 
 
-def test_what_the_experimenter_does_reaches_the_page(served, browser, client):
+def test_what_the_experimenter_does_reaches_the_page(served, browser):
     page = driving(browser.new_context(), served.links["P01"])
-    act = f"{served.server.experimenter}/act"
-    client(act, {"participant": "P01", "action": "restart", "page": 1})
+    served.act("restart", page=1)
     until(page, "document.querySelector('main > button')?.textContent === 'Start'")
     rows = on_disk(served.plan)
     go_on(page, "drive")
     until(page, "self.study.rows > 5")
     assert on_disk(served.plan) == rows  # the first attempt stays as it was
-    client(act, {"participant": "P01", "action": "note", "text": ATTACK})
+    served.act("note", text=ATTACK)
     experimenter = opened(browser.new_context(), served.server.experimenter)
     until(experimenter, "document.body.innerText.includes('<script>')")
     assert experimenter.evaluate("window.fired === undefined && document.images.length === 0")
-    client(act, {"participant": "P01", "action": "end"})
+    served.act("end")
     until(page, "document.querySelector('h2')?.textContent === 'Thank you'")
     assert page.faults == []
 

@@ -12,7 +12,6 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from trustlab.live import LeadingSettings, TeleoperationSettings
 from trustlab.live.hands import HumanHand
 from trustlab.live.study import plan as planning
 from trustlab.live.study.__main__ import main
@@ -110,13 +109,13 @@ def test_a_deletion_that_fails_is_told_and_the_next_one_finishes_it(make_plan, m
     assert (plan.deleted(), plan.present()) == (["P01"], ["P02", "P03"])
 
 
-def test_a_folder_lost_in_a_copy_is_nobody_who_was_deleted(make_plan, client):
+def test_a_folder_lost_in_a_copy_is_nobody_who_was_deleted(make_plan, serving):
     """Some copies leave empty folders out."""
     plan = make_plan()
     (plan.folder / "P02").rmdir()
     assert tl.read_live_study(plan.folder).deleted == []
-    with StudyServer(plan) as server:
-        assert client(server.links()["P02"] + "/state").json["page"] == 0
+    with serving(plan) as served:
+        assert served.state("P02").json["page"] == 0
 
 
 def test_a_damaged_file_beside_the_study_is_named(make_plan):
@@ -133,12 +132,6 @@ def test_a_plan_that_cannot_be_served_is_not_frozen(tmp_path):
     with pytest.raises(ValueError, match="guidance must be one of"):
         tl.LiveStudy(tmp_path / "s", participants=5, task="teleoperation", guidance="nonsense")
     assert not (tmp_path / "s").exists()
-
-
-def test_settings_of_flights_and_teams_are_named():
-    for settings in (LeadingSettings, TeleoperationSettings):
-        with pytest.raises(TypeError, match="positional"):
-            settings(5, 3)
 
 
 def drive_rows(config, switched):
