@@ -28,6 +28,7 @@ from tests.publishing.world import (
 )
 from trustlab.publishing.run import CellError, execute
 
+ATTACK = '<img src="https://attacker.invalid/" onerror="fire()">'
 GOOD = [
     "# A good one\n\nIt shows $\\overline{P}_h$, and succeeds as in (2.3) and in report “plain”. "
     "See Table 01-1.",
@@ -51,6 +52,7 @@ GOOD = [
     ),
     new_code_cell("caption(pd.DataFrame({'x': [1, 2]}), 'What *x* is.', synthetic=True)"),
     new_code_cell("import pathlib\nprint('data at', pathlib.Path.cwd().parent / 'data')"),
+    new_code_cell(f"name = {ATTACK!r}\nprint(name)\nname"),
     tagged("Markdown('**It holds.** By (2.8).')", "hide", "answer"),
 ]
 ABSENT = [
@@ -107,6 +109,8 @@ def test_a_report_has_its_answer_figures_tables_and_origin(world):
     text = html(root, "01_good")
     assert "01_good … run in " in done.stdout
     assert "seed is 5" in text
+    assert text.count("attacker.invalid") == 3  # the cell, what it prints, and its value
+    assert ATTACK not in text
     assert text.index("It holds.") < text.index("seed is 5")
     assert text.count("It holds.") == 1
     assert len(re.findall('<img[^>]* alt="Synthetic data: made up. Figure', text)) == 2

@@ -7,7 +7,6 @@ import random
 import signal
 import time
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -24,7 +23,7 @@ V_RATE = 1.0
 
 
 def log_of(path):
-    return pd.read_csv(path, names=["t", "v", "w", "age", "delay", "stamp"])
+    return pd.read_csv(path, names=["t", "v", "w"])
 
 
 def agree(result):
@@ -57,16 +56,6 @@ def test_the_robot_of_the_guide_is_driven_and_changes_hands(tmp_path):
     agree(result)
     assert set(result.session["mode"]) == {0.0, 1.0}
     assert result.session.duration > 40.0
-
-
-@pytest.mark.long
-def test_a_stop_is_with_the_robot_within_a_tenth_of_a_second(tmp_path):
-    stops = tmp_path / "stops.csv"
-    peer = [PEER, "robot,operator,stop", 60, tmp_path / "robot.csv", stops]
-    assert driven(tmp_path, peer, run_for_peer(tmp_path), 20).verified
-    seconds = np.loadtxt(stops)
-    assert len(seconds) >= 4
-    assert seconds.max() < 0.1
 
 
 @pytest.mark.long

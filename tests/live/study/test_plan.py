@@ -5,7 +5,6 @@ square of the design.
 
 import json
 import shutil
-import sys
 
 import numpy as np
 import pandas as pd
@@ -82,13 +81,6 @@ def test_the_command_line_plans_and_complains(tmp_path, monkeypatch, capsys):
     said = capsys.readouterr()
     assert "A new study: C1 to C5, 20 participants" in said.out
     assert "has other files in it" in said.err
-
-
-def test_without_tornado_the_command_line_says_what_to_install(tmp_path, monkeypatch, capsys):
-    monkeypatch.delitem(sys.modules, "trustlab.live.study.server", raising=False)
-    monkeypatch.setitem(sys.modules, "tornado", None)
-    assert main([str(tmp_path / "s")]) == 2
-    assert 'pip install "trustlab[live]"' in capsys.readouterr().err
 
 
 def test_a_deletion_that_fails_is_told_and_the_next_one_finishes_it(make_plan, monkeypatch):
