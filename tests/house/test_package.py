@@ -3,7 +3,6 @@
 import ast
 import functools
 import re
-import shutil
 import subprocess
 import sys
 import tarfile
@@ -229,11 +228,9 @@ def test_the_lock_has_every_dependency_and_names_no_registry():
 
 def test_wheel_and_sdist_are_whole(tmp_path):
     source = tmp_path / "source"
-    listed = subprocess.check_output(["git", "ls-files"], cwd=ROOT, text=True).splitlines()
-    tracked = [name for name in listed if (ROOT / name).is_file()]
-    for name in tracked:
-        (source / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / name, source / name)
+    command = ["git", "checkout-index", "--all", f"--prefix={source}/"]
+    subprocess.run(command, cwd=ROOT, check=True)
+    tracked = [str(p.relative_to(source)) for p in source.rglob("*") if p.is_file()]
     command = [sys.executable, "-m", "hatchling", "build", "-d", str(tmp_path)]
     done = subprocess.run(command, cwd=source, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -89,14 +89,6 @@ def test_an_autonomous_robot_with_a_known_p_min_says_nothing_of_p_max():
         tl.fit_tsc(alone, fixed=fixed)
 
 
-def test_where_all_is_fixed_errors_are_those_of_the_model():
-    noisy, human = session(), PILOT.human
-    values = {"a": human.a, "beta": human.beta, "p_min": human.p_min, "p_max": human.p_max}
-    fit = tl.fit_human(noisy, fixed=values | {"r0": 0.3}, noise="white")
-    np.testing.assert_allclose(fit.runs[0].errors["p_h"], fit.residuals()[0], atol=1e-12)
-    assert fit.sigma["p_h"] == pytest.approx(0.003, rel=0.02)
-
-
 def test_ranges_that_give_no_weights_are_refused_where_these_are_returned():
     """TSC needs them, a robot does not."""
     noisy = session()

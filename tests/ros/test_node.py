@@ -19,7 +19,6 @@ from trustlab.ros import (
     Allocation,
     CoreSettings,
     RunSettings,
-    Topic,
     measures_table,
     read_run,
     read_toml,
@@ -33,6 +32,7 @@ STEP = 50_000_000
 SHORT = CoreSettings(window=2.0)
 MCAP = rosbag2.StoragePlugin.MCAP
 TWIST = "geometry_msgs/msg/Twist"
+JOY = "sensor_msgs/msg/Joy"
 
 
 class Always:
@@ -308,28 +308,38 @@ def test_steps_follow_odometry_and_a_timer_where_there_is_none(node, tmp_path):
     assert allocation.finish().verified
 
 
+STICK = """
+rule = "tests.ros.test_node:Half"
+[model]
+published = 1
+[settings]
+window = 2.0
+[topics.operator]
+topic = "/joy"
+type = "sensor_msgs/msg/Joy"
+stamp = "receive"
+fields = ["axes[1]", "axes[0]"]
+scale = [0.5, 2.0]
+[topics.stop]
+topic = "/joy"
+type = "sensor_msgs/msg/Joy"
+stamp = "receive"
+fields = ["buttons[3]"]
+[topics.path_error]
+topic = "/reference"
+type = "geometry_msgs/msg/PoseStamped"
+fields = ["pose.position.x", "pose.position.y"]
+best_effort = true
+[topics.command]
+topic = "/cmd_vel"
+type = "geometry_msgs/msg/TwistStamped"
+fields = ["twist.linear.x", "twist.angular.z"]
+"""
+
+
 def test_a_stick_a_reference_and_stamped_commands(node, tmp_path):
-    stick = {"topic": "/joy", "type": "sensor_msgs/msg/Joy", "stamp": "receive"}
-    run = RunSettings(
-        MODEL,
-        rule="tests.ros.test_node:Half",
-        settings=SHORT,
-        topics={
-            "operator": Topic(**stick, fields=("axes[1]", "axes[0]"), scale=(0.5, 2.0)),
-            "stop": Topic(**stick, fields=("buttons[3]",)),
-            "path_error": Topic(
-                "/reference",
-                "geometry_msgs/msg/PoseStamped",
-                ("pose.position.x", "pose.position.y"),
-                best_effort=True,
-            ),
-            "command": Topic(
-                "/cmd_vel",
-                "geometry_msgs/msg/TwistStamped",
-                ("twist.linear.x", "twist.angular.z"),
-            ),
-        },
-    )
+    (tmp_path / "run.toml").write_text(STICK)
+    run = read_toml(tmp_path / "run.toml")
     allocation = Allocation(node, run, tmp_path / "a.mcap")
     assert node.profiles["/reference"].reliability == "best effort"
     assert node.profiles["/odom"].reliability == "reliable"
@@ -337,7 +347,7 @@ def test_a_stick_a_reference_and_stamped_commands(node, tmp_path):
     buttons = np.zeros(4, dtype=np.int32)
     for k in range(60):
         node.time += STEP
-        node.send("/joy", stick["type"], axes=axes, buttons=buttons)
+        node.send("/joy", JOY, axes=axes, buttons=buttons)
         node.send("/autonomy/cmd_vel", TWIST, linear__x=0.2)
         node.send("/odom", "nav_msgs/msg/Odometry", node.time, pose__pose__position__x=0.1 * k)
         stamp = node.time
@@ -349,10 +359,10 @@ def test_a_stick_a_reference_and_stamped_commands(node, tmp_path):
     sent = node.sent["/cmd_vel"][-1]
     assert sent.twist.linear.x == allocation.latest.v
     assert sent.header.stamp.sec == node.time // 10**9
-    node.send("/joy", stick["type"], axes=axes[:1], buttons=buttons)
+    node.send("/joy", JOY, axes=axes[:1], buttons=buttons)
     assert any("operator: no number at axes[1]" in note for _, note in allocation.core.notes)
     buttons[3] = 1
-    node.send("/joy", stick["type"], axes=axes, buttons=buttons)
+    node.send("/joy", JOY, axes=axes, buttons=buttons)
     assert allocation.core.stopped
     result = allocation.finish()
     assert result.verified

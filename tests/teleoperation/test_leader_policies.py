@@ -60,7 +60,6 @@ def test_leaders_stay_for_the_minimum(seed, name, dwell, robots):
         (GivenSequence(["c", "a"], times=[0.0, 0.45]), NOTHING, 0.2, [2] * 5 + [0] * 5),
         (GivenSequence(["a", "c"]), NOTHING, 0.15, [0, 0, 0, 2, 2, 2, 0, 0, 0, 2]),
         (GivenSequence(), NOTHING, 0.1, [0, 0, 1, 1, 2, 2, 0, 0, 1, 1]),
-        (GivenSequence(iter(["b"])), NOTHING, 0.1, [1] * 10),
     ],
 )
 def test_policies_by_hand(policy, trust, dwell, leaders):

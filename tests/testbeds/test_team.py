@@ -86,26 +86,6 @@ def test_drift_is_a_source():
     assert np.diff(run.data["v_t"]).max() > 1e-6
 
 
-@pytest.mark.parametrize("seeds", [3, pytest.param(100, marks=pytest.mark.long)])
-def test_the_most_trusted_robot_is_sooner_at_the_goal(seeds):
-    """One deaf robot of four. Negative control: with trust that comes from nothing it is not."""
-    cases = [(policy, "motion") for policy in ("most_trusted", "sequence", "random")]
-    cases.append(("most_trusted", "random"))
-    times = np.empty((seeds, 4))
-    for seed in range(seeds):
-        deaf = int(np.random.default_rng([11, seed]).integers(4))
-        arguments = {"seed": seed, "settings": faulty(DEAF, deaf), "duration": 200.0}
-        arguments |= {"sample_time": 0.02, "record_every": 0.1}
-        for column, (policy, performance) in enumerate(cases):
-            run = simulate_team(nx.cycle_graph(4), policy, performance=performance, **arguments)
-            times[seed, column] = run.time_to_goal if run.converged else 200.0
-    sooner = times[:, 1:] - times[:, :1]
-    assert (sooner.mean(axis=0) > 5.0).all()
-    if seeds > 3:
-        error = sooner.std(axis=0, ddof=1) / np.sqrt(seeds)
-        assert (sooner.mean(axis=0) > 3.0 * error).all()
-
-
 class TestLoop:
     @property
     def options(self):

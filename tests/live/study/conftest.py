@@ -26,14 +26,10 @@ def ask(url, body=None, *, host=None, path=None, **headers):
     if body is not None:
         data = body if isinstance(body, bytes) else json.dumps(body).encode()
         own |= {"Content-Type": "application/json", "Origin": f"http://{place.netloc}"}
-        own["Content-Length"] = str(len(data))
     own |= {name.replace("_", "-"): value for name, value in headers.items()}
-    link.putrequest("GET" if data is None else "POST", path or place.path, skip_host=True)
-    for name, value in own.items():
-        if value is not None:
-            link.putheader(name, value)
+    sent = {name: value for name, value in own.items() if value is not None}
     try:
-        link.endheaders(data)
+        link.request("GET" if data is None else "POST", path or place.path, data, sent)
         answer = link.getresponse()
         content = answer.read()
     except (ConnectionError, http.client.HTTPException):

@@ -150,9 +150,7 @@ def test_agreement_is_cohens_kappa():
         pooled += count * np.array([1.0, single["agreement"], single["chance"]])
     result = policy_agreement(runs).loc["most_trusted"]
     assert result["kappa"] == pytest.approx((pooled[1] - pooled[2]) / (pooled[0] - pooled[2]))
-    assert result["low"] < result["kappa"] < result["high"]
-    assert result["low"] > 0.2
-    assert result["high"] < 0.9
+    assert 0.2 < result["low"] < result["kappa"] < result["high"] < 0.9
 
 
 # studies
