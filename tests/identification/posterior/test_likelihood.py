@@ -171,20 +171,6 @@ def test_a_delay_shifts_what_is_simulated():
         assert sizes[0] < 0.25 * sizes[1]
 
 
-def test_windows_are_undone_before_means_are_taken():
-    rng = np.random.default_rng(10)
-    run = tl.published_models()["pilot"].simulate(simulated_logs.switching(rng, 3000), 0.1, 0.24)
-    noises = {"p_h": (0.003, 0.0, 1.0), "p_r": (0.003, 0.0, 1.0)}
-    made = {}
-    for window in (0.0, 100.0):
-        session = simulated_logs.with_noise(np.random.default_rng(1), run, noises, window)
-        runs = read_runs(session, "mode", "p_h", "p_r", log=tl.LogSettings())
-        blocks = kernel.blocks_of(Problem(TSC, runs, TSC.limits(), unwindow=True))
-        made[window] = blocks.measured
-        assert blocks.windows.tolist() == [1]  # what is undone is not simulated as well
-    np.testing.assert_allclose(made[0.0], made[100.0], atol=1e-10)
-
-
 @pytest.mark.parametrize("window", [30, 31, 100, 1000])
 def test_means_over_a_window_are_simulated_by_blocks(window):
     """Oracle: with_performance's mean of the simulated samples."""
