@@ -16,7 +16,6 @@ from nbformat.v4 import new_code_cell
 
 from tests.publishing.world import (
     ROOT,
-    chromium,
     faults,
     make,
     pages,
@@ -93,11 +92,6 @@ def world(tmp_path_factory):
     book = write_book(root)
     assert book.returncode == 0, book.stderr
     return root, done
-
-
-@pytest.fixture(scope="module")
-def browser():
-    yield from chromium()
 
 
 def html(root, name):

@@ -307,19 +307,14 @@ def test_a_parameter_that_a_notebook_lacks_is_refused():
 def test_every_notebook_refuses_parameters_it_lacks(path):
     code = [cell for cell in nbformat.read(path, 4).cells if cell.cell_type == "code"]
     assert code[0].metadata["tags"] == ["parameters"]
-    checked = next(i for i, cell in enumerate(code) if CHECK in cell.source.splitlines())
-    for early in code[1:checked]:  # nothing is computed before
-        assert {type(node) for node in ast.parse(early.source).body} <= {ast.Import, ast.ImportFrom}
+    source = "\n".join(re.sub("^%", "#", cell.source, flags=re.M) for cell in code[1:])
+    before, found, _ = source.partition(f"\n{CHECK}\n")
+    assert found
+    # Nothing is computed before, and a parameter is what it was set to.
+    assert {type(node) for node in ast.parse(before).body} <= {ast.Import, ast.ImportFrom}
     parameters = {n.targets[0].id for n in ast.parse(code[0].source).body if hasattr(n, "targets")}
-    for later in code[1:]:  # a parameter is what it was set to
-        stored = {
-            node.id
-            for node in ast.walk(ast.parse(re.sub(r"^%", "#", later.source, flags=re.M)))
-            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
-        }
-        assert not parameters & stored
-    lines = code[checked].source.partition(CHECK)[0]
-    assert {type(node) for node in ast.parse(lines).body} <= {ast.Import, ast.ImportFrom}
+    names = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name))
+    assert not parameters & {node.id for node in names if isinstance(node.ctx, ast.Store)}
 
 
 # --- diagrams -------------------------------------------------------------------------------------
