@@ -160,16 +160,6 @@ def test_what_a_log_may_do_is_named_and_allowed_for():
     assert delay["ci_low"] - 0.05 < 1.0 < delay["ci_high"] + 0.05
 
 
-def test_the_robot_alone_takes_the_options_too():
-    late, options = of_setting("mode stamped 1 s early", 1)
-    table = tl.fit_robot(late, **options).table()
-    names = ["a", "p_min", "p_max", "p_h_max", "mode_delay", "b", "time_constant"]
-    assert list(table.index) == names
-    assert table.loc["mode_delay", "value"] == pytest.approx(1.0, abs=0.2)
-    assert abs(table.loc["a", "value"] - PILOT.robot.a) < 4.0 * table.loc["a", "stderr"]
-    assert not tl.fit_robot(late).success
-
-
 def test_coarse_numbers_and_slow_noise_are_doubted():
     walk = np.cumsum(3e-4 * np.random.default_rng(0).standard_normal(SWITCHING.size))
     drifting = session().with_columns(p_h=session()["p_h"] + walk)
