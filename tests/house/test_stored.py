@@ -121,22 +121,23 @@ def test_trust_value(make):
 
 def test_teleoperators(make):
     """One operator of each table flies again."""
-    streams = np.random.SeedSequence(make.SEED).spawn(30)
+    streams = np.random.SeedSequence(make.SEED).spawn(200)
     people = TeleoperatorPopulation("main")
+
+    def person(number, drawn=None):
+        return people.draw(number, make.SEED, drawn).to_dict("records")[-1]
+
     row = stored("compensation").query("operator == 'adapting' and failure_every == 15").iloc[4]
-    person = people.draw(5, make.SEED, {"adapting": 1.0}).to_dict("records")[4]
-    again = make.tracking_errors("main", ["M", "TMIG"], person, streams[4])
+    again = make.tracking_errors("main", ["M", "TMIG"], person(5, {"adapting": 1.0}), streams[4])
     assert again == pytest.approx(row[["M", "TMIG"]].to_dict(), rel=1e-9)
     row = stored("orders").query("study == 'main' and law == 'crossover'").iloc[130]
-    drawn = {name: row[name] for name in make.TELEOPERATOR_PRIORS}
-    person = people.draw(row["participant"], make.SEED, drawn).to_dict("records")[-1]
-    stream = np.random.SeedSequence(make.SEED).spawn(row["participant"])[-1]
+    who = person(row["participant"], {name: row[name] for name in make.TELEOPERATOR_PRIORS})
     task = replace(make.TASKS["main"], view=row["view"])
-    again = make.tracking_errors("main", ["MI", "TMIG"], person, stream, task)
+    stream = streams[row["participant"] - 1]
+    again = make.tracking_errors("main", ["MI", "TMIG"], who, stream, task)
     assert again == pytest.approx(row[["MI", "TMIG"]].to_dict(), rel=1e-9)
     row = stored("felt").query("law == 'proportional' and scheme == 'M'").iloc[2]
-    person = people.draw(3, make.SEED).to_dict("records")[2]
-    again = make.flown_guided("M", person, row["k_ffa"], streams[2])
+    again = make.flown_guided("M", person(3), row["k_ffa"], streams[2])
     assert again == pytest.approx(row[list(again)].to_dict(), rel=1e-9)
 
 
