@@ -129,7 +129,9 @@ def distributions(folder):
     """Distributions that the files of a folder import."""
     known = packages_distributions()
     tops = {name.partition(".")[0] for p in sources_of(folder) for name in imported(p.read_text())}
-    others = tops - sys.stdlib_module_names - {"trustlab", "tests", "benchmarks", "notebooks"}
+    others = (
+        tops - sys.stdlib_module_names - {"trustlab", "tests", "benchmarks", "notebooks", "data"}
+    )
     found = (name for top in others for name in known.get(top, [top]))
     return {name.lower().replace("_", "-") for name in found}
 

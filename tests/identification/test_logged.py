@@ -17,11 +17,11 @@ from hypothesis import given, strategies as st
 from scipy import signal, stats
 
 import trustlab as tl
+from notebooks import noise_settings
 from tests.identification.cases import (
     NOISE,
     PILOT,
     ROOT,
-    SETTINGS,
     SWITCHING,
     log,
     of_setting,
@@ -36,12 +36,12 @@ from trustlab.sessions.metrics import window_mean
 
 STORED = ROOT / "data" / "coverage" / "fits.csv"
 TRUTH = truth()
-NAMES = SETTINGS.TRUTH
+NAMES = noise_settings.TRUTH
 
 
 def windowed(window, seed, loop="open", where="before", noise=NOISE):
     """A session of the pilot operator whose performances are means over a window."""
-    return SETTINGS.windowed(np.random.default_rng([seed, 7]), window, loop, where, noise)
+    return noise_settings.windowed(np.random.default_rng([seed, 7]), window, loop, where, noise)
 
 
 # --- the window -----------------------------------------------------------------------------------
@@ -213,7 +213,7 @@ def test_errors_of_many_stamps_are_worked_out_for_some_of_them(monkeypatch):
 
 def delayed(late):
     """A session whose mode acts late."""
-    frame = SETTINGS.white(np.random.default_rng(3), SETTINGS.clean(late=late))
+    frame = noise_settings.white(np.random.default_rng(3), noise_settings.clean(late=late))
     return tl.Session(frame, tl.Metadata(synthetic=True))
 
 
@@ -245,7 +245,7 @@ def test_an_error_that_all_stamps_share_widens_the_intervals_where_stamps_are_no
 
 def shortfall(rows):
     """Which parameters are covered in fewer than 90 %, less two of that share's deviations."""
-    table = SETTINGS.by_parameter(rows)
+    table = noise_settings.by_parameter(rows)
     table = table[(table["way"] != "before") & (table["successes"] >= 0.1 * table["fits"])]
     least = 0.9 - 2.0 * np.sqrt(0.9 * 0.1 / table["successes"])
     return table[table["coverage"] < least]
@@ -258,7 +258,7 @@ def test_stored_coverage_is_met_or_doubted():
     """
     stored = pd.read_csv(STORED)
     assert shortfall(stored).empty
-    assert set(stored["setting"]) >= {*SETTINGS.SETTINGS, *SETTINGS.WINDOWS}
+    assert set(stored["setting"]) >= {*noise_settings.SETTINGS, *noise_settings.WINDOWS}
 
 
 AGAIN = ["white", "quantised at 0.01", "dropouts to 0", "logged at 1 Hz"]
@@ -270,17 +270,17 @@ def test_stored_coverage_is_that_of_the_settings(setting):
     """A session of the stored ones, fitted again: the same errors, or doubted again."""
     stored = pd.read_csv(STORED)
     stored = stored[stored["setting"] == setting].set_index("session").loc[3]
-    fresh = SETTINGS.covers(np.random.SeedSequence([11, 3]), setting)
+    fresh = noise_settings.covers(np.random.SeedSequence([11, 3]), setting)
     for name, value in fresh.items():
         assert stored[name] == pytest.approx(value, rel=0.02, abs=0.02, nan_ok=True), name
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("setting", [*SETTINGS.SETTINGS, *SETTINGS.WINDOWS])
+@pytest.mark.parametrize("setting", [*noise_settings.SETTINGS, *noise_settings.WINDOWS])
 def test_settings_cover_the_truth_or_say_that_they_do_not(setting):
     """40 seeds of each that are not the stored ones."""
     seeds = np.random.SeedSequence(11).spawn(40)
-    rows = pd.DataFrame([SETTINGS.covers(seed, setting) for seed in seeds])
+    rows = pd.DataFrame([noise_settings.covers(seed, setting) for seed in seeds])
     assert shortfall(rows.assign(setting=setting)).empty
 
 

@@ -6,7 +6,6 @@ Oracles: measures of the study's own, what is known of its robot; the script tha
 synthetic sessions.
 """
 
-import importlib.util
 import shutil
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
+from data.sessions import make_sessions
 from trustlab.sessions import (
     SessionError,
     external_data,
@@ -94,11 +94,8 @@ FOLDER = Path(__file__).parents[2] / "data" / "sessions"
 
 @pytest.fixture(scope="module")
 def fresh(tmp_path_factory):
-    spec = importlib.util.spec_from_file_location("make_sessions", FOLDER / "make_sessions.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
     folder = tmp_path_factory.mktemp("sessions")
-    module.main(folder)
+    make_sessions.main(folder)
     return folder
 
 
