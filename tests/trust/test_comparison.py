@@ -43,8 +43,8 @@ def test_last_third_is_not_fitted_and_predicted_freely(compared):
     ratings = panel.ratings.copy()
     ratings[:, 8:] = 0.5
     changed = replace(panel, ratings=ratings)
-    fit = tl.trust.fitting.fitted(panel, MODELS["performance"], until=7)
-    again = tl.trust.fitting.fitted(changed, MODELS["performance"], until=7)
+    fit = tl.trust.fitting.fitted(panel.until(7), MODELS["performance"])
+    again = tl.trust.fitting.fitted(changed.until(7), MODELS["performance"])
     np.testing.assert_array_equal(fit.coordinates, again.coordinates)
     free = [predict(fit.model, p, free=True, known=7).mean for p in (panel, changed)]
     np.testing.assert_array_equal(free[0], free[1])

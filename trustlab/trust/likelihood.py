@@ -76,14 +76,11 @@ def predict(model: TrustDynamics, panel: Panel, free: bool = False, known: int =
     return Predictions(distributions, preference)
 
 
-def log_likelihood(
-    model: TrustDynamics, panel: Panel, free: bool = False, until: int | None = None
-) -> np.ndarray:
-    """Return the log-likelihood of each person's ratings after the first, up to an event."""
+def log_likelihood(model: TrustDynamics, panel: Panel, free: bool = False) -> np.ndarray:
+    """Return the log-likelihood of each person's ratings after the first."""
     logs = np.log(np.fmax(predict(model, panel, free).probability(panel), LEAST))
     # fmax turns what is missing into LEAST: it adds nothing.
-    logs = np.where(np.isnan(panel.ratings[:, 1:]), 0.0, logs)
-    return logs[:, :until].sum(axis=1)
+    return np.where(np.isnan(panel.ratings[:, 1:]), 0.0, logs).sum(axis=1)
 
 
 def simulate_ratings(model: TrustDynamics, panel: Panel, rng: np.random.Generator) -> Panel:

@@ -60,10 +60,9 @@ class Panel:
         k : int
             The trial, from 0.
         """
-        signals = [signal[:, k] for signal in self.events]
-        absent = np.isnan(Event(*signals).dt)
-        nothing = Event(dt=0.0)
-        return Event(*map(np.where, [absent] * len(signals), nothing, signals))
+        absent = np.isnan(self.events.dt[:, k])
+        pairs = zip(Event(dt=0.0), self.events, strict=True)
+        return Event(*(np.where(absent, usual, signal[:, k]) for usual, signal in pairs))
 
     def of(self, rows) -> "Panel":
         """
@@ -78,6 +77,20 @@ class Panel:
         events = Event(*(signal[rows] for signal in self.events))
         people = tuple(self.people[i] for i in rows)
         return replace(self, people=people, events=events, ratings=self.ratings[rows])
+
+    def until(self, event: int) -> "Panel":
+        """
+        Return a panel without the ratings and the reliance after an event.
+
+        Parameters
+        ----------
+        event : int
+            How many events come before.
+        """
+        later = np.arange(self.trials) >= event
+        ratings = np.where(np.append(False, later), np.nan, self.ratings)
+        followed = np.where(later, np.nan, self.events.followed)
+        return replace(self, ratings=ratings, events=self.events._replace(followed=followed))
 
 
 def panel_of(

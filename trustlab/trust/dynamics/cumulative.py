@@ -39,7 +39,6 @@ class CumulativeTrust(LinearTrust):
     """
 
     title: ClassVar[str] = "memory and bias (Hu and Akash)"
-    contains_performance: ClassVar[bool] = True
     direction: ClassVar[tuple[float, ...]] = (1.0, 1.0)
     offset: ClassVar[tuple[float, ...]] = (0.0, 0.0)
     change: float = parameter(0.3, 0.0, 1.0)
@@ -49,18 +48,17 @@ class CumulativeTrust(LinearTrust):
     bias: float = parameter(0.5, 0.0, 1.0)
 
     @classmethod
-    def as_performance(cls, fitted):
+    def as_performance(cls, a, gain, **noise):
         """
         Return this model where it is (3.2), for events of length 1.
 
         Parameters
         ----------
-        fitted : PerformanceTrust
-            (3.2).
+        a, gain, **noise : float
+            Parameters of `PerformanceTrust`.
         """
-        change = 1.0 - float(np.exp(-fitted.a))
-        noise = {"process_sd": fitted.process_sd, "rating_sd": fitted.rating_sd}
-        return cls(change=change, experience=fitted.gain, memory=0.0, bias=0.0, **noise)
+        change = 1.0 - float(np.exp(-a))
+        return cls(change=change, experience=gain, memory=0.0, bias=0.0, **noise)
 
     def transition(self, event: Event):
         """
