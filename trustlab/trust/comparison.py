@@ -12,7 +12,7 @@ from trustlab.models.checks import of_class, one_of, spawned, whole_number
 from trustlab.models.display import Result
 from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.fitting import CRITERIA, TrustFit, fitted, model_class
-from trustlab.trust.interface import LEAST, TrustDynamics
+from trustlab.trust.interface import TrustDynamics
 from trustlab.trust.likelihood import cell, predict, simulate_ratings
 from trustlab.trust.panel import Panel
 
@@ -197,7 +197,7 @@ def _scores(fit: TrustFit, panel: Panel, since: int) -> pd.DataFrame:
     values = {
         "free_error": np.square(free.mean - actual),
         "step_error": np.square(steps.mean - actual),
-        "log_score": np.log(np.maximum(steps.probability(panel), LEAST)),
+        "log_score": np.log(steps.probability(panel)),
         "reliance_loss": -special.log_expit(-odds) - panel.events.followed * odds,
         "coverage": np.where(np.isnan(actual), np.nan, np.transpose(inside)),
     }

@@ -256,14 +256,6 @@ def value_and_slope(loss: Loss, x: np.ndarray) -> tuple[float, np.ndarray]:
     return here, (ahead - behind) / (2.0 * STEP)
 
 
-def second_derivatives(loss: Loss, x: np.ndarray) -> np.ndarray:
-    """Return the second derivatives of the loss, by differences."""
-    step = STEP * np.eye(x.size)
-    both = (step[:, None] + step).reshape(-1, x.size), (step[:, None] - step).reshape(-1, x.size)
-    along, across = (loss(x + each) + loss(x - each) for each in both)
-    return (along - across).reshape(x.size, x.size) / (4.0 * STEP**2)
-
-
 def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
     """
     Return the ends of 95 % intervals of coordinates, shape (2, parameters).
@@ -273,25 +265,30 @@ def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
     J. Venzon, S. H. Moolgavkar, Applied Statistics 37(1), 1988. An end is infinite where a
     parameter reaches its bound before.
     """
+    step = STEP * np.eye(centre.size)
+    ahead, behind = ([value_and_slope(loss, x)[1] for x in centre + s * step] for s in (1, -1))
+    curvatures, vectors = np.linalg.eigh(np.subtract(ahead, behind) / (2.0 * STEP))
     # Along these axes the loss is about equally curved near the centre.
-    curvatures, vectors = np.linalg.eigh(second_derivatives(loss, centre))
     axes = vectors / np.sqrt(np.maximum(curvatures, FLAT))
-    most = loss(centre[None])[0] + FALL
+
+    def along(z: np.ndarray) -> np.ndarray:
+        return loss(centre + z @ axes.T)
+
     within = [
         NonlinearConstraint(
-            lambda z: loss((centre + axes @ z)[None])[0],
+            lambda z: along(z[None])[0],
             -np.inf,
-            most,
-            jac=lambda z: value_and_slope(loss, centre + axes @ z)[1] @ axes,
+            loss(centre[None])[0] + FALL,
+            jac=lambda z: value_and_slope(along, z)[1],
         ),
         LinearConstraint(axes, -EDGE - centre, EDGE - centre),
     ]
 
-    def end(way: np.ndarray) -> np.ndarray:
-        """Return the point within that lies farthest along a way."""
-        far = axes @ way * np.sqrt(2.0 * FALL) / np.linalg.norm(way)
+    def reach(way: np.ndarray) -> float:
+        """Return how far the points within lie along a way, at the most."""
         # From the centre and from where the end would be were the loss quadratic: either search may
         # stop at a bend.
+        starts = centre, centre + axes @ way * np.sqrt(2.0 * FALL) / np.linalg.norm(way)
         found = [
             minimize(
                 lambda z: -way @ z,
@@ -300,12 +297,13 @@ def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
                 method="SLSQP",
                 constraints=within,
                 options={"ftol": 1e-5},
-            )
-            for start in (centre, centre + far)
+            ).fun
+            for start in starts
         ]
-        return centre + axes @ min(found, key=lambda each: each.fun).x
+        return -min(found)
 
-    ends = np.array([np.diag([end(sign * way) for way in axes]) for sign in (-1.0, 1.0)])
+    signs = np.array([[-1.0], [1.0]])
+    ends = centre + signs * [[reach(sign * way) for way in axes] for sign in signs]
     return np.where(np.abs(ends) < EDGE - STEP, ends, np.copysign(np.inf, ends))
 
 

@@ -172,9 +172,8 @@ class GridRating(NamedTuple):
         rng : numpy.random.Generator
             Where it is drawn from.
         """
-        reached = np.cumsum(self.weights, axis=-1) < rng.random(len(self.weights))[:, None]
-        trust = self.bins[np.minimum(reached.sum(axis=-1), self.bins.size - 1)]
-        return rng.normal(trust, self.sd)
+        passed = np.cumsum(self.weights[:, :-1], axis=-1) < rng.random((len(self.weights), 1))
+        return rng.normal(self.bins[passed.sum(axis=-1)], self.sd)
 
 
 def parameter(default: float, low: float, high: float) -> Any:

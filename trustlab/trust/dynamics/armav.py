@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from trustlab.trust.dynamics.linear import LinearTrust, column
+from trustlab.trust.dynamics.linear import LinearTrust, columns
 from trustlab.trust.interface import Event, parameter
 
 
@@ -70,9 +70,6 @@ class SeriesTrust(LinearTrust):
         """
         size = max(np.size(event.p_r), np.size(self.memory))
         matrix = np.zeros((size, 3, 3))
-        matrix[:, 0, 0] = self.memory
-        matrix[:, 0, 1] = self.before
-        matrix[:, 0, 2] = self.fault_before
-        p, f = column(event.p_r, size), column(event.fault, size)
-        change = self.constant + self.now * p + self.fault_now * f
-        return matrix, np.stack([change, p, f], axis=-1)
+        matrix[:, 0] = columns(size, self.memory, self.before, self.fault_before)
+        change = self.constant + self.now * event.p_r + self.fault_now * event.fault
+        return matrix, columns(size, change, event.p_r, event.fault)

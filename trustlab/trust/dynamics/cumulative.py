@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from trustlab.trust.dynamics.linear import LinearTrust, column
+from trustlab.trust.dynamics.linear import LinearTrust, columns
 from trustlab.trust.interface import Event, parameter
 
 
@@ -70,13 +70,11 @@ class CumulativeTrust(LinearTrust):
             Its p_r.
         """
         size = max(np.size(event.p_r), np.size(self.change))
+        # Trust after the event as coefficients of trust, cumulative trust and 1.
         experience = self.change * self.experience
         memory = (self.change - experience) * self.memory
         expectation = self.change - experience - memory
-        matrix = np.empty((size, 2, 2))
-        matrix[:, 0, 0] = 1.0 - self.change
-        matrix[:, 0, 1] = memory
-        matrix[:, 1] = np.reshape(self.forgetting, (-1, 1)) * matrix[:, 0]
-        matrix[:, 1, 1] += 1.0 - self.forgetting
-        shift = experience * column(event.p_r, size) + expectation * self.bias
-        return matrix, np.stack([shift, self.forgetting * shift], axis=-1)
+        pull = experience * event.p_r + expectation * self.bias
+        trust, g = columns(size, 1.0 - self.change, memory, pull), columns(size, self.forgetting)
+        after = np.stack([trust, (1.0 - g) * [0.0, 1.0, 0.0] + g * trust], axis=1)
+        return after[..., :2], after[..., 2]
