@@ -30,10 +30,11 @@ from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import between, in_order, one_of, shown, whole_number
 from trustlab.models.display import Result
 from trustlab.models.files import write_atomically
+from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.reproduction.effects import (
+    EVERY_ASSUMPTION,
     TELEOPERATION,
     UNITS,
-    all_checked,
     effects_of,
     simulated_effects,
 )
@@ -150,13 +151,13 @@ class Calibration(Result):
         Return assumption, prior_low, prior_high, median, low, high (95 %), contraction (1 −
         variance over the prior's), extrapolated.
         """
-        low, high = np.transpose(list(self.priors.values()))
-        ends = self.posterior.quantile([0.5, 0.025, 0.975]).T.to_numpy()
-        table = pd.DataFrame({"assumption": [*self.priors], "prior_low": low, "prior_high": high})
-        table[["median", "low", "high"]] = ends
-        table["contraction"] = 1.0 - 12.0 * self.posterior.var().to_numpy() / (high - low) ** 2
-        table["extrapolated"] = table["assumption"].isin(self.extrapolated)
-        return table
+        table = pd.DataFrame(self.priors, index=["prior_low", "prior_high"]).T
+        ends = self.posterior.quantile([0.5, 0.025, 0.975]).T
+        table[["median", "low", "high"]] = ends.to_numpy()
+        spread = 12.0 * self.posterior.var() / (table["prior_high"] - table["prior_low"]) ** 2
+        table["contraction"] = 1.0 - spread
+        table["extrapolated"] = table.index.isin(self.extrapolated)
+        return table.rename_axis("assumption").reset_index()
 
     def given(self, *measures: str) -> "Calibration":
         """
@@ -360,8 +361,8 @@ def calibrate(
     ids = [id for id in effects["id"] if whole[id].notna().any()]
     whole = whole.dropna(subset=ids).reset_index(drop=True)
     _check_enough(len(whole), len(ids))
-    settings = {"n": n, "seed": seed, "simulations": simulations}
-    settings |= {"left_out": simulations - len(whole)}
+    left_out = simulations - len(whole)
+    settings = {"n": n, "seed": seed, "simulations": simulations, "left_out": left_out}
     return Calibration(study, ranges, whole[[*ranges, *ids]].astype(float), settings)
 
 
@@ -440,7 +441,7 @@ def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple
             raise ValueError(f"the prior of {name} must be two numbers, got {shown(pair)}")
         ranges[name] = in_order(f"the low end of {name}", pair[0], "its high end", pair[1])
     for end in (0, 1):
-        all_checked({name: pair[end] for name, pair in ranges.items()})
+        checked_assumptions({name: pair[end] for name, pair in ranges.items()}, EVERY_ASSUMPTION)
     return ranges
 
 

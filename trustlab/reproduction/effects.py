@@ -16,7 +16,7 @@ from scipy import special
 from trustlab.allocation.rules import PerformanceRule
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import one_of, shown, whole_number
+from trustlab.models.checks import one_of, whole_number
 from trustlab.operators.answers import simulated_answers
 from trustlab.operators.ground_robot import ASSUMPTIONS, checked_assumptions
 from trustlab.operators.teleoperator import TELEOPERATOR_ASSUMPTIONS
@@ -38,39 +38,38 @@ COLUMNS = ["id", "where", "measure", "contrast", "printed", "low", "high", "p"]
 @cache
 def _effects() -> pd.DataFrame:
     """Return all effects that data/published/effects.toml lists, and of which study they are."""
-    return pd.DataFrame(_listed(**published_facts("effects")), columns=[*COLUMNS, "study"])
+    listed = pd.DataFrame(_listed(**published_facts("effects")), columns=[*COLUMNS, "study"])
+    listed["id"] += "/" + listed["measure"] + "/" + listed["contrast"]
+    return listed
 
 
 def _listed(tables: list[dict], studies: list[dict], claims: list[dict]) -> Iterator[tuple]:
     for table in tables:
+        name, where = table["study"], f"Table {table['table']}"
         for measure, column in table["measures"].items():
-            means, where = published_table(table["table"])[column], f"Table {table['table']}"
+            means = published_table(table["table"])[column]
             for contrast in table["contrasts"]:
-                yield _sized(table["study"], where, measure, contrast, means, "nan")
+                yield (name, where, measure, contrast, *_sized(means, contrast), math.nan, name)
     for each in studies:
-        study = published_studies()[each["name"]]
-        name = each["name"].partition(".")[0]
+        study, name = published_studies()[each["name"]], each["name"].partition(".")[0]
         for contrast in each["contrasts"]:
+            about = study.where, each["measure"], contrast
             turned = "-".join(reversed(contrast.split("-")))
             printed = {**study.t_test, **study.pairs}
-            p = printed.get(turned) or printed.get(contrast) or printed.get("p", "nan")
-            yield _sized(name, study.where, each["measure"], contrast, study.mean, p)
+            text = printed.get(turned) or printed.get(contrast) or printed.get("p", "nan")
+            p = float(text.removeprefix("<"))
+            yield (name, *about, *_sized(study.mean, contrast), p, name)
     for claim in claims:
         about = claim["where"], claim["measure"], claim["contrast"]
         ends = sorted((0.0, claim["sign"] * math.inf))
-        id = "/".join((claim["id"], *about[1:]))
-        yield (id, *about, math.nan, *ends, math.nan, claim["study"])
+        yield (claim["id"], *about, math.nan, *ends, math.nan, claim["study"])
 
 
-def _sized(
-    study: str, where: str, measure: str, contrast: str, means: Mapping[str, str], p: str
-) -> tuple:
-    """Return the effect of two printed means, and its ends within their rounding."""
+def _sized(means: Mapping[str, str], contrast: str) -> tuple[float, float, float]:
+    """Return the difference of two printed means, and its ends within their rounding."""
     after, before = (means[condition] for condition in contrast.split("-"))
     (low, high), (lowest, highest) = printed_interval(after), printed_interval(before)
-    exact = float(printed_decimal(after) - printed_decimal(before))
-    about = f"{study}/{measure}/{contrast}", where, measure, contrast
-    return (*about, exact, low - highest, high - lowest, float(p.removeprefix("<")), study)
+    return float(printed_decimal(after) - printed_decimal(before)), low - highest, high - lowest
 
 
 def printed_effects() -> pd.DataFrame:
@@ -162,6 +161,7 @@ def model_means(condition: str) -> pd.DataFrame:
     return pd.DataFrame(rows).T
 
 
+EVERY_ASSUMPTION = {**ASSUMPTIONS, **TELEOPERATOR_ASSUMPTIONS}
 # Testbeds of the studies under C1–C5.
 ALLOCATION = {
     "table_2.4": "ground_robot",
@@ -258,7 +258,7 @@ def simulated_effects(
     >>> effects["id"].tolist()
     ['table_2.6/followed_percent/C2-C4']
     """
-    assumed = all_checked({} if assumptions is None else assumptions)
+    assumed = checked_assumptions(assumptions, EVERY_ASSUMPTION)
     n, seed = whole_number("n", n, least=3), whole_number("seed", seed, least=0)
     chosen = effects_of(only)
     places = chosen["study"].replace(ALLOCATION)
@@ -273,13 +273,6 @@ def simulated_effects(
     frame["agrees"] = frame["agrees"].astype("boolean")
     frame.attrs = {"origin": "simulated operators", "assumptions": assumed, "n": n, "seed": seed}
     return frame
-
-
-def all_checked(assumptions: Mapping[str, float]) -> dict[str, float]:
-    """Return assumptions about operators of both chapters, each within its range."""
-    if not isinstance(assumptions, Mapping):
-        raise ValueError(f"assumptions must map names to numbers, got {shown(assumptions)}")
-    return checked_assumptions(assumptions, {**ASSUMPTIONS, **TELEOPERATOR_ASSUMPTIONS})
 
 
 def effects_of(study: str | None, name: str = "only") -> pd.DataFrame:

@@ -138,13 +138,13 @@ class GridRating(NamedTuple):
         Probabilities.
     bins : numpy.ndarray, shape (bins,)
         Trust in the middle of each.
-    sd : numpy.ndarray, shape (N,)
+    sd : float or numpy.ndarray, shape (N,)
         Standard deviation of a rating about trust.
     """
 
     weights: np.ndarray
     bins: np.ndarray
-    sd: np.ndarray
+    sd: Any
 
     @property
     def mean(self) -> np.ndarray:
