@@ -14,7 +14,7 @@ from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.fitting import CRITERIA, TrustFit, fitted, model_class
 from trustlab.trust.interface import TrustDynamics
 from trustlab.trust.likelihood import cell, predict, simulate_ratings
-from trustlab.trust.panel import Panel
+from trustlab.trust.panel import Panel, panel_until
 
 # Of every person: squared errors, less is better; log score in nats a rating, more is better; log
 # loss of reliance in nats a decision, less is better; ratings within the 90 % interval.
@@ -172,7 +172,9 @@ def compare_trust_models(
     splits = [
         ("people", panel.of(np.setdiff1d(order, group)), panel.of(group), 0) for group in groups
     ]
-    splits += [("last third", panel.until(later), panel, later)] if later < panel.trials else []
+    splits += (
+        [("last third", panel_until(panel, later), panel, later)] if later < panel.trials else []
+    )
     # Where all people are fitted best is a good place to start from, and nothing more.
     starts = {name: fitted(panel, model, free=free).coordinates for name, model in chosen.items()}
     tables = []

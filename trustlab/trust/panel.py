@@ -78,19 +78,13 @@ class Panel:
         people = tuple(self.people[i] for i in rows)
         return replace(self, people=people, events=events, ratings=self.ratings[rows])
 
-    def until(self, event: int) -> "Panel":
-        """
-        Return a panel without the ratings and the reliance after an event.
 
-        Parameters
-        ----------
-        event : int
-            How many events come before.
-        """
-        later = np.arange(self.trials) >= event
-        ratings = np.where(np.append(False, later), np.nan, self.ratings)
-        followed = np.where(later, np.nan, self.events.followed)
-        return replace(self, ratings=ratings, events=self.events._replace(followed=followed))
+def panel_until(panel: Panel, event: int) -> Panel:
+    """Return a panel without the ratings and the reliance after an event, counted from 1."""
+    later = np.arange(panel.trials) >= event
+    ratings = np.where(np.append(False, later), np.nan, panel.ratings)
+    followed = np.where(later, np.nan, panel.events.followed)
+    return replace(panel, ratings=ratings, events=panel.events._replace(followed=followed))
 
 
 def panel_of(
