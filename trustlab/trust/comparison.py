@@ -65,10 +65,9 @@ class TrustComparison(Result):
             so far), log_score, reliance_loss, coverage (of 90 % intervals).
         """
         means = self.scores.groupby(["split", "model"], sort=False)[list(MEASURES)].mean()
-        means = means.reset_index()
-        for name in ("free", "step"):
-            means[f"{name}_error"] = np.sqrt(means[f"{name}_error"])
-        return means.rename(columns={"free_error": "free_rmse", "step_error": "step_rmse"})
+        errors = list(MEASURES[:2])
+        means[errors] = np.sqrt(means[errors])
+        return means.reset_index().rename(columns=lambda name: name.replace("error", "rmse"))
 
     def paired(self, against: str | None = None) -> pd.DataFrame:
         """

@@ -60,6 +60,6 @@ class SwitchedTrust(LinearTrust):
         event : Event
             Its dt and p_r.
         """
-        success = np.asarray(event.p_r) >= 0.5
+        success = event.p_r >= 0.5
         decay = np.exp(-np.where(success, self.rate_success, self.rate_failure) * event.dt)
         return decay, (1.0 - decay) * np.where(success, self.level_success, self.level_failure)

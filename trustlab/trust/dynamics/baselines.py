@@ -104,9 +104,8 @@ class Habit(RunningMean):
         event : Event
             Its `followed`.
         """
-        followed = np.asarray(event.followed, dtype=float)
-        asked = np.isfinite(followed)
-        return np.eye(3), np.stack([0.0 * asked, asked, np.nan_to_num(followed)], axis=-1)
+        asked, relied = np.isfinite(event.followed), np.nan_to_num(event.followed)
+        return np.eye(3), np.stack([0.0 * asked, asked, relied], axis=-1)
 
     def preference(self, belief: Gaussian) -> np.ndarray:
         """

@@ -74,8 +74,8 @@ class BetaTrust(TrustDynamics):
         event : Event
             Its p_r.
         """
-        p = np.asarray(event.p_r, dtype=float)
-        return Counts(belief.alpha + self.success * p, belief.beta + self.failure * (1.0 - p))
+        failed = 1.0 - event.p_r
+        return Counts(belief.alpha + self.success * event.p_r, belief.beta + self.failure * failed)
 
     def learn(self, belief: Counts, rating) -> Counts:
         """

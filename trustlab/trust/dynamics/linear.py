@@ -102,7 +102,7 @@ class LinearTrust(TrustDynamics):
         rating : array_like, shape (N,)
             Ratings, 0 to 1.
         """
-        error = np.asarray(rating, dtype=float) - belief.mean[:, 0]
+        error = rating - belief.mean[:, 0]
         known = np.isfinite(error)
         with_trust = belief.covariance[:, :, 0]
         spread = belief.covariance[:, 0, 0] + self.rating_sd**2

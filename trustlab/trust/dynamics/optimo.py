@@ -107,7 +107,7 @@ class GridTrust(TrustDynamics):
             Ratings, 0 to 1.
         """
         sd = columns(len(belief.weights), self.rating_sd)
-        error = (np.asarray(rating, dtype=float)[:, None] - CENTRES) / sd
+        error = (np.atleast_1d(rating)[:, None] - CENTRES) / sd
         exponent = np.nan_to_num(-0.5 * np.square(error), nan=0.0)
         # Where every bin has lost its probability, so has the rating: NaN, which costs the most.
         with np.errstate(divide="ignore", invalid="ignore"):
