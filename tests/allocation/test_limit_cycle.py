@@ -1,5 +1,7 @@
 """The steady cycle against long simulation."""
 
+import itertools
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -7,18 +9,7 @@ import pytest
 import trustlab as tl
 from tests.allocation.cases import phases
 from trustlab.allocation import limit_cycle, simulate_allocation
-from trustlab.allocation.steady import (
-    AUTONOMOUS,
-    LOW,
-    MANUAL,
-    MEAN,
-    P_R,
-    SCREEN,
-    R,
-    encloses_beta,
-    endless_phase,
-    survey,
-)
+from trustlab.allocation.steady import SCREEN, endless_phase, survey
 from trustlab.reproduction import published_table
 
 
@@ -174,22 +165,20 @@ def test_a_survey_has_the_motions_of_limit_cycle(operators):
     pairs = np.array([[0.0, 0.3], [-0.1, 0.2], [-3.0, 3.0]])
     models = [operators[name] for name in ("2", "3", "pilot")]
     exact, screened = survey(models, pairs), survey(models, pairs, SCREEN)
-    for i, tsc in enumerate(models):
-        for j, (lower, upper) in enumerate(pairs):
-            cycle = limit_cycle(tsc, lower, upper)
-            assert np.isnan(exact[i, j]).any() == np.isnan(screened[i, j]).any() != cycle.exists
-            if not cycle.exists:
-                continue
-            assert encloses_beta(exact, models)[i, j] == cycle.encloses_beta
-            for rows, near, off in (
-                (exact[i, j], 1e-6, 0),
-                (screened[i, j], 0.01, 2),
-            ):
-                assert rows[R, MEAN] == pytest.approx(cycle.mean_r, abs=max(near, 1e-3))
-                assert rows[P_R, MEAN] == pytest.approx(cycle.mean_p_r, abs=max(near, 1e-4))
-                assert rows[R, LOW] == pytest.approx(cycle.r_low, abs=near)
-                for row in (MANUAL, AUTONOMOUS):
-                    assert rows[row, LOW] == pytest.approx(exact[i, j, row, LOW], abs=off)
+    cases = itertools.product(models, pairs.tolist())
+    for k, (tsc, pair) in enumerate(cases):
+        cycle = limit_cycle(tsc, *pair)
+        assert exact["switches"][k] == screened["switches"][k] == cycle.exists
+        assert exact.loc[k, ["lower", "upper"]].tolist() == pair
+        if not cycle.exists:
+            assert np.isnan(exact["r_low"][k])
+            continue
+        assert exact["encloses"][k] == cycle.encloses_beta
+        for rows, near in ((exact, 1e-6), (screened, 0.01)):
+            row = rows.loc[k]
+            assert row["mean_r"] == pytest.approx(cycle.mean_r, abs=max(near, 1e-3))
+            assert row["mean_p_r"] == pytest.approx(cycle.mean_p_r, abs=max(near, 1e-4))
+            assert row["r_low"] == pytest.approx(cycle.r_low, abs=near)
 
 
 # --- phases that never end ------------------------------------------------------------------------

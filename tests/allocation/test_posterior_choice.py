@@ -69,12 +69,14 @@ def test_a_probability_is_that_of_the_motion_itself(clear, operators, name, marg
 
 def test_where_no_pair_is_probable_one_alone_is_followed_with_all_draws(unclear, monkeypatch):
     """That is most of the time that a posterior takes."""
-    follow, followed = thresholds.from_both_starts, []
-    monkeypatch.setattr(
-        thresholds,
-        "from_both_starts",
-        lambda models, pair: followed.append(pair) or follow(models, pair),
-    )
+    follow, followed = thresholds.survey, []
+
+    def survey(models, pairs, *lengths, **starts):
+        if starts:
+            followed.extend(map(tuple, pairs))
+        return follow(models, pairs, *lengths, **starts)
+
+    monkeypatch.setattr(thresholds, "survey", survey)
     with pytest.warns(UserWarning, match="No thresholds"):
         choice = tl.choose_thresholds(unclear, points=8, confidence=0.999)
     assert followed == [(choice.lower, choice.upper)]

@@ -11,21 +11,13 @@ import pandas as pd
 from trustlab.allocation.invariant import InvariantBounds, invariant_bounds
 from trustlab.allocation.limits import ThresholdLimits, limits_as_printed, threshold_limits
 from trustlab.allocation.steady import (
+    BOTH,
     EXACT,
-    HIGH,
-    LOW,
-    MEAN,
-    P_R,
     SCREEN,
+    Lengths,
     LimitCycle,
-    R,
-    coarse,
-    encloses_beta,
-    from_both_starts,
     grid_of_pairs,
     limit_cycle,
-    points as points_of,
-    stacked,
     survey,
 )
 from trustlab.identification.posterior.density import SHARED, physical
@@ -42,14 +34,14 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.display import Result, axes_or_new
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import TscConstants, TscModel
 
 # Draws of a posterior by which pairs are screened, and pairs that are then followed sample by
 # sample, with all draws, until one keeps its promise.
 SCREENED = 200
 FOLLOWED = 6
 
-# How many of the best pairs are looked at under more data.
+# How many of the best pairs are looked at under more data, at most.
 NEAREST = 20
 
 # Draws of a posterior over which a table gives medians, and the ends of its intervals.
@@ -59,8 +51,19 @@ ENDS = {"": 0.5, "_ci_low": 0.025, "_ci_high": 0.975}
 # How many times as much data are considered where no pair is probable enough.
 LONGER = (2, 4, 8, 16)
 
-COLUMNS = ["lower", "upper", "p_switches", "p_encloses", "mean_r", "p_r_high", "mean_p_r"]
-COLUMNS += ["objective", "off_beta"]
+# What candidates have of a survey, by its names there.
+PAIR = ["lower", "upper"]
+COLUMNS = {"switches": "p_switches", "encloses": "p_encloses"}
+COLUMNS |= {name: name for name in ("mean_r", "p_r_high", "mean_p_r", "objective", "off_beta")}
+
+# What is asked of a pair: a column of a survey, and words.
+ENCLOSING, SWITCHING = ("encloses", "keeps switching around β"), ("switches", "keeps switching")
+
+OF_A_FIT = "for the estimate alone (trustlab.sample_posterior gives a probability)"
+UNSURE = (
+    "The fit has success = False: {} With posterior = trustlab.sample_posterior(sessions), "
+    "choose_thresholds(posterior) offers thresholds with a probability, or says what to record. {}"
+)
 
 OBJECTIVES = {"peak": "highest robot performance", "mean": "greatest mean robot performance"}
 
@@ -256,61 +259,49 @@ def choose_thresholds(
             "does not; trustlab.sample_posterior gives a probability"
         )
     asked = 0.95 if confidence is None else open_unit("confidence", confidence)
-    source: Any = tsc.model if isinstance(tsc, FitResult) else tsc
+    fit = tsc if isinstance(tsc, FitResult) else None
+    source: Any = fit.model if fit else tsc
     models = source.models if of_posterior else [of_class("tsc", source, TscModel)]
     limits, reason = _room(models, not_negative("delta_p_h", delta_p_h))
     lower = upper = probability = np.nan
-    message, around, table = "", 0.0, pd.DataFrame(columns=COLUMNS, dtype=float)
+    message, around, table = "", 0.0, pd.DataFrame(columns=[*PAIR, *COLUMNS.values()], dtype=float)
     if not reason:
         off = share * (limits.upper - limits.lower)
         pairs = grid_of_pairs(limits.lower + off, limits.upper - off, count)
-        table = _screened(coarse(models[:SCREENED]) if of_posterior else models, pairs, objective)
-        order, count = _order(table, asked, enclose)
-        lower, upper, probability, around = _followed(models, pairs[order[:count]], asked, enclose)
-        around_beta = "keeps switching around β" if enclose else "keeps switching"
+        table = _screened(models, pairs, objective, SCREEN if of_posterior else EXACT)
+        aim, goal = ENCLOSING if enclose else SWITCHING
+        nearest, count = _nearest_pairs(table, asked, aim)
+        lower, upper, probability, around = _followed(models, nearest[:count], asked, aim)
         if probability < asked:
-            reason = f"no pair between {pairs.min():.3f} and {pairs.max():.3f} {around_beta}"
+            reason = f"no pair between {pairs.min():.3f} and {pairs.max():.3f} {goal}"
             if of_posterior:
                 reason += f" with probability {asked:g}; the nearest does with {probability:.2f}. "
-                reason += _what_would_help(source, pairs[order[:NEAREST]], asked, enclose)
+                reason += _what_would_help(source, nearest, asked, aim)
             elif enclose:
-                reason += _nearest(limit_cycle(source, lower, upper))
+                reason += _how_near(limit_cycle(source, lower, upper))
         else:
-            sure = "for exactly this model"
+            sure = "for exactly this model" if fit is None else OF_A_FIT
             if of_posterior:
                 sure = f"with probability {probability:.2f} (asked for: {asked:g})"
-            elif isinstance(tsc, FitResult):
-                sure = "for the estimate alone (trustlab.sample_posterior gives a probability)"
             best = OBJECTIVES.get(str(objective), "greatest weighted performance")
             message = (
-                f"Thresholds {lower:.3f} and {upper:.3f}: the rule {around_beta} {sure}; of the "
-                f"pairs that do they reach the {best}. Limits: {limits.message}."
+                f"Thresholds {lower:.3f} and {upper:.3f}: the rule {goal} {sure}; of the pairs "
+                f"that do they reach the {best}. Limits: {limits.message}."
             )
             message += _beside_theorem_1(models, lower, upper)
-            if around < asked:
-                message += " Utilization does not enclose β."
+            message += " Utilization does not enclose β." * (around < asked)
     if reason:
         message = f"No thresholds: {reason}"
-    if isinstance(tsc, FitResult):
-        probability, message = np.nan, _doubt(tsc) + message
-    if around < asked or (isinstance(tsc, FitResult) and not tsc.success):
+    if fit:
+        probability = np.nan
+        message = message if fit.success else UNSURE.format(fit.message, message)
+    if around < asked or (fit and not fit.success):
         warn(message)
     decided = lower, upper, probability, bool(around >= asked), message, reason
     return ThresholdChoice(*decided, limits, table, source)
 
 
-def _doubt(fit: FitResult) -> str:
-    """Say first that a fit is not to be used, where it is not."""
-    if fit.success:
-        return ""
-    return (
-        f"The fit has success = False: {fit.message} With posterior = "
-        "trustlab.sample_posterior(sessions), choose_thresholds(posterior) offers thresholds with "
-        "a probability, or says what to record. "
-    )
-
-
-def _nearest(cycle: LimitCycle) -> str:
+def _how_near(cycle: LimitCycle) -> str:
     """Say how near the nearest pair comes to β, and what may help."""
     return (
         f" = {cycle.model.human.beta:.3g}; under the nearest utilization stays within "
@@ -334,63 +325,48 @@ def _beside_theorem_1(models: list[TscModel], lower: float, upper: float) -> str
 # --- the search -----------------------------------------------------------------------------------
 
 
-def _holds(motions: np.ndarray, models: list[TscModel], enclose: bool) -> np.ndarray:
-    """Return whether models do what is asked, by model and pair."""
-    return encloses_beta(motions, models) if enclose else ~np.isnan(motions[..., R, LOW])
+def _screened(
+    models: list[TscModel], pairs: np.ndarray, objective: str | float, lengths: Lengths
+) -> pd.DataFrame:
+    """Return means over models, of a posterior the first of them, of what pairs lead to."""
+    motions = survey(models[:SCREENED], pairs, lengths)
+    weight = 1.0 if isinstance(objective, str) else objective
+    points = weight * motions["robot_points"] + (1.0 - weight) * motions["human_points"]
+    motions["objective"] = motions["p_r_high"] if objective == "peak" else points
+    return motions.groupby(PAIR)[[*COLUMNS]].mean().reset_index().rename(columns=COLUMNS)
 
 
-def _screened(models: list[TscModel], pairs: np.ndarray, objective: str | float) -> pd.DataFrame:
-    """Return means over models of what pairs of thresholds lead to."""
-    motions = survey(models, pairs, SCREEN if len(models) > 1 else EXACT)
-    beta = stacked(models).beta
-    value = motions[..., P_R, HIGH]
-    if objective != "peak":
-        value = points_of(motions, models, 1.0 if objective == "mean" else float(objective))
-    columns = {
-        "p_switches": _holds(motions, models, False),
-        "p_encloses": _holds(motions, models, True),
-        "mean_r": motions[..., R, MEAN],
-        "p_r_high": motions[..., P_R, HIGH],
-        "mean_p_r": motions[..., P_R, MEAN],
-        "objective": value,
-        "off_beta": np.maximum(motions[..., R, LOW] - beta, beta - motions[..., R, HIGH]),
-    }
-    means = {name: pd.DataFrame(values).mean() for name, values in columns.items()}
-    return pd.DataFrame({"lower": pairs[:, 0], "upper": pairs[:, 1], **means})
-
-
-def _order(table: pd.DataFrame, asked: float, enclose: bool) -> tuple[np.ndarray, int]:
+def _nearest_pairs(table: pd.DataFrame, asked: float, aim: str) -> tuple[np.ndarray, int]:
     """
-    Return which pairs are best, those that do what is asked, else those nearest to it, and how many
-    of them to follow.
+    Return the best pairs, those that do what is asked, else those nearest to it, and how many of
+    them to follow.
     """
-    share = table["p_encloses" if enclose else "p_switches"]
+    share = table[COLUMNS[aim]]
     able = share >= asked
     first = table["objective"].where(able, share)
     second = table["mean_p_r"].where(able, -table["off_beta"])
-    return np.lexsort((-second, -first, ~able)), FOLLOWED if able.any() else 1
+    order = np.lexsort((-second, -first, ~able))
+    return table[PAIR].to_numpy()[order[:NEAREST]], FOLLOWED if able.any() else 1
 
 
 def _followed(
-    models: list[TscModel], pairs: np.ndarray, asked: float, enclose: bool
+    models: list[TscModel], pairs: np.ndarray, asked: float, aim: str
 ) -> tuple[float, float, float, float]:
     """
     Return the first pair that does what is asked, else the most probable, how probable that is, and
     that utilization encloses β; decided sample by sample, from β and from rest, for all models.
     """
     tried = []
-    for lower, upper in pairs.tolist():
-        motions = from_both_starts(models, (lower, upper))
-        holds, around = (
-            float(_holds(motions, models, each).all(axis=0).mean()) for each in (enclose, True)
-        )
-        tried.append((lower, upper, holds, around))
-        if holds >= asked:
+    for pair in pairs:
+        motions = survey(models, [pair], starts=BOTH)
+        shares = motions.groupby("model")[["switches", "encloses"]].all().mean()
+        tried.append((*pair.tolist(), float(shares[aim]), float(shares["encloses"])))
+        if shares[aim] >= asked:
             break
     return max(tried, key=itemgetter(2))
 
 
-def _what_would_help(posterior: Posterior, pairs: np.ndarray, asked: float, enclose: bool) -> str:
+def _what_would_help(posterior: Posterior, pairs: np.ndarray, asked: float, aim: str) -> str:
     """Say how much longer to record, as if draws came nearer to their mean."""
     blocks = posterior.target.blocks
     minutes = blocks.measured.shape[1] * blocks.samples * blocks.step / 60.0
@@ -399,9 +375,8 @@ def _what_would_help(posterior: Posterior, pairs: np.ndarray, asked: float, encl
     for times in LONGER:
         nearer = thetas.copy()
         nearer[:, :SHARED] -= (1.0 - times**-0.5) * apart
-        models = coarse(tsc_models(physical(nearer, 0.1)))
-        holds = _holds(survey(models, pairs, SCREEN), models, enclose)
-        if holds.mean(axis=0).max() >= asked:
+        motions = survey(tsc_models(physical(nearer, 0.1)), pairs, SCREEN)
+        if motions.groupby(PAIR)[aim].mean().max() >= asked:
             return f"Record about {times} times as much: {minutes * times:.0f} minutes."
     return (
         f"More than {LONGER[-1]} times these {minutes:.0f} minutes would be needed: record phases "
@@ -411,7 +386,7 @@ def _what_would_help(posterior: Posterior, pairs: np.ndarray, asked: float, encl
 
 def _room(models: list[TscModel], delta: float) -> tuple[ThresholdLimits, str]:
     """Return the limits, medians over the models, and why they leave no room, if they do."""
-    c = stacked(models)
+    c = TscConstants(*np.transpose([tsc.constants() for tsc in models]))
     ends = limits_as_printed(c, delta)
     lower, upper = (float(np.median(end)) for end in ends)
     limits = ThresholdLimits(lower, upper, delta)
