@@ -10,7 +10,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings, strategies as st
-from scipy.optimize import minimize_scalar
 
 import trustlab as tl
 from tests.allocation.cases import phases, shape
@@ -177,8 +176,8 @@ def test_greatest_steps_are_those_of_every_state():
     Oracle: (2.1), (2.3) and (2.5) written out on a grid of states; an operator better than the
     robot's model supposes drives P_r above its upper end.
     """
-    r = np.linspace(0.05, 0.95, 200_001)
-    for beta, p_h_max in ((0.3, 0.5), (0.74, 0.4602), (0.6, 0.7)):
+    r = np.linspace(0.05, 0.95, 700_001)
+    for beta, p_h_max in ((0.15, 0.5), (0.3, 0.5), (0.74, 0.4602), (0.6, 0.7)):
         model = tl.TscModel(
             tl.RobotModel(0.99, 0.24, 0.39, 0.5), tl.HumanModel(0.995, beta, 0.35, p_h_max)
         )
@@ -189,22 +188,8 @@ def test_greatest_steps_are_those_of_every_state():
         )
         highest = max(0.39, 0.24 + model.robot.b * p_h_max / 0.01)
         steps = step_bounds(model)
-        assert steps.delta_p_h == pytest.approx(change, rel=1e-4)
         assert steps.delta_p_r == pytest.approx(0.01 * (highest - 0.24), rel=1e-12)
-        assert steps.delta_p_h >= change * (1 - 1e-12)
-
-
-@pytest.mark.parametrize("beta", [0.1, 0.12, 0.15, 0.17])
-def test_the_greatest_step_within_a_range_is_found_to_rounding(beta):
-    """Oracle: SciPy's bounded search; above β, and below r = ½, the step is greatest in between."""
-    model = tl.TscModel(tl.RobotModel(0.99, 0.2, 0.4, 0.5), tl.HumanModel(0.995, beta, 0.3, 0.5))
-
-    def step(r):
-        return 0.2 * (shape(0.995 * r + 0.005, beta) - shape(r, beta))
-
-    best = minimize_scalar(step, bounds=(beta, 0.5), method="bounded", options={"xatol": 1e-10})
-    assert beta + 0.1 < best.x < 0.49
-    assert step_bounds(model, beta, 0.5).delta_p_h == pytest.approx(-best.fun, rel=1e-12)
+        assert steps.delta_p_h == pytest.approx(change, rel=1e-9)
 
 
 def test_thresholds_at_their_limits_are_outside(operators):

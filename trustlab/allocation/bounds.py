@@ -56,9 +56,8 @@ class SteadyStateBounds(SteadyRanges):
             (self.p_r_low, best, short, r"manual, greatest $P_h$, $\tau_{dml}$"),
             (self.p_r_low, worst, long, r"manual, least $P_h$, $\tau_{dmu}$"),
         ):
-            curve, at_dwell = (goal + (start - goal) * robot.a**k for k in (steps, dwell))
-            (line,) = axes[0].plot(0.1 * steps, curve, label=label)
-            axes[0].plot(0.1 * dwell, at_dwell, "o", color=line.get_color())
+            curve = goal + (start - goal) * robot.a**steps
+            axes[0].plot(0.1 * steps, curve, "o-", markevery=steps == dwell, label=label)
         settled = longest_phase(self.model.constants())
         run = simulate_allocation(self.model, self.lower, self.upper, settled + 4000, r0=0.1)
         axes[1].plot(0.1 * np.arange(4000), run["r"].iloc[settled:], label="r under (2.8)")

@@ -27,6 +27,7 @@ from trustlab.allocation.steady import limit_cycle
 from trustlab.models.checks import (
     finite_number,
     finite_numbers,
+    function,
     of_class,
     one_of,
     positive,
@@ -398,9 +399,13 @@ class ThresholdCorrector:
         self.c_b = positive("c_b", c_b)
         self.horizon = whole_number("horizon", horizon, most=1_000_000)
         self._range = tsc.robot.p_min, tsc.robot.p_max
-        self.incentive = incentive
-        if incentive is not incentive_box:
-            self._try(incentive)
+        self.incentive = function("incentive", incentive)
+        low, high = incentive(0.5, 0.5 * sum(self._range), self.c_b, *self._range)
+        if not sound.py_func(low, high, self.c_b):
+            raise ValueError(
+                f"incentive must return numbers in [−c_b, 0] and [0, c_b], c_b = {self.c_b:g}, but "
+                f"at r = 0.5 returns {low:g} and {high:g}"
+            )
         options = {"extra_cost": extra_cost, "switch_width": switch_width, "limit": limit}
         given: Any = {name: value for name, value in options.items() if value is not None}
         self.program: Any = None
@@ -473,24 +478,6 @@ class ThresholdCorrector:
             message,
             path,
         )
-
-    def _try(self, incentive: Callable) -> None:
-        """Refuse an incentive that fails or has no bounds where it is tried, not in a loop."""
-        for r in (0.1, 0.5, 0.9):
-            try:
-                bounds = incentive(r, 0.5 * sum(self._range), self.c_b, *self._range)
-                low, high = map(float, bounds)
-            except Exception as error:
-                raise ValueError(
-                    "incentive must be a function of r, p_r, c_b, p_min and p_max that returns the "
-                    f"least and the greatest correction, but at r = {r} it raises "
-                    f"{type(error).__name__}: {error}"
-                ) from error
-            if not sound.py_func(low, high, self.c_b):
-                raise ValueError(
-                    f"incentive must return numbers in [−c_b, 0] and [0, c_b], c_b = "
-                    f"{self.c_b:g}, but at r = {r} returns {low:g} and {high:g}"
-                )
 
     def followed(
         self, state: np.ndarray, mode: int, given: np.ndarray

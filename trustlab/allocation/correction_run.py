@@ -256,7 +256,7 @@ class CorrectionRun(Result):
         how |= {"switches": "sum", "held": "sum", "largest_gap": "max"}
         table = data.groupby("test", as_index=False).agg(how)
         way = np.abs(np.subtract(self.target, self.start)).sum() or np.nan
-        left = (table[["lower", "upper"]] - self.target).abs().sum(axis=1)
+        left = np.abs(table[["lower", "upper"]].to_numpy() - self.target).sum(axis=1)
         table.insert(3, "remaining", left / way)
         return table
 
