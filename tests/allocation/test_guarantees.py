@@ -114,24 +114,6 @@ def test_what_is_guaranteed_holds_from_adversarial_starts(count, seed):
     assert often > 0.04 * count
 
 
-def test_the_pilot_below_the_lower_limit(operators):
-    """
-    The pair of the pilot operator at which a cycle exists, but a rested operator's robot keeps
-    control for ever.
-    """
-    pilot = operators["pilot"]
-    run = tl.simulate_allocation(pilot, -0.51, 0.3, 50_000, r0=0.0, mode=0)
-    assert (run["mode"] == 0.0).all()
-    bounds, cycle = invariant_bounds(pilot, -0.51, 0.3), limit_cycle(pilot, -0.51, 0.3)
-    assert not bounds.guaranteed
-    assert "from rest (r = 0) the mode stays autonomous: TSC settles at -0.4909" in bounds.reason
-    assert cycle.exists
-    assert not cycle.always
-    assert "stays autonomous" in cycle.reason
-    with pytest.raises(ValueError, match=r"does not keep switching.*from rest"):
-        tl.ThresholdCorrector(pilot, (-0.51, 0.3))
-
-
 def test_at_the_limits_themselves_nothing_is_guaranteed(operators):
     """
     TSC only tends to its limit: with a threshold there, a trajectory may come ever nearer and never

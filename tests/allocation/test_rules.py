@@ -136,19 +136,10 @@ def test_what_cannot_be_used_is_named(operators):
         PerformanceRule(0.24, 0.39, tolerance=0.1)
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "says"),
-    [
-        ("lower", np.nan, "lower must be finite"),
-        ("lower", 0.9, "lower"),
-        ("upper", "x", "upper must be a number"),
-        ("mode", 7, "mode must be"),
-    ],
-)
-def test_what_is_assigned_to_a_rule_is_checked(name, value, says):
+def test_what_is_assigned_to_a_rule_is_checked():
     rule = ThresholdRule(0.0, 0.4)
-    setattr(rule, name, value)
-    with pytest.raises(ValueError, match=says):
+    rule.lower = 0.9
+    with pytest.raises(ValueError, match="lower must be below upper"):
         rule.step(tsc=0.2)
     with pytest.raises(AttributeError, match="lowr"):
         rule.lowr = 0.1
