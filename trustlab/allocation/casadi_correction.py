@@ -158,7 +158,7 @@ class CorrectionProgram:
             Mode before now.
         """
         began = perf_counter()
-        clipped = self._judged(state, mode, np.full((2, self.corrector.horizon), np.nan))
+        clipped = self._judged(state, mode, self.corrector.clipped)
         corrections, reason = self._solved(mode, clipped[1])
         if perf_counter() - began > self.limit:
             reason = f"it takes longer than limit = {self.limit:g} s"
@@ -171,7 +171,7 @@ class CorrectionProgram:
         self, state: np.ndarray, mode: int, corrections: np.ndarray
     ) -> tuple[float, np.ndarray]:
         """Return (2.43) with the user's cost, and the path, of corrections."""
-        cost, _, path = self.corrector.followed(state, mode, corrections)
+        cost, _, path = self.corrector.followed(state, mode, np.ascontiguousarray(corrections))
         total = cost + float(self._added(path[[R, P_R, U, L, C_U, C_L], :-1]))
         return (total if np.isfinite(total) else np.inf), path
 
@@ -184,17 +184,14 @@ class CorrectionProgram:
         # Both thresholds stay between their values now and their targets, which are 0.
         least, most, share = np.full_like(start, -np.inf), np.full_like(start, np.inf), 0.0 * start
         least[:2], most[:2], share[:2] = np.minimum(now, 0.0) - 1e-6, np.maximum(now, 0.0) + 1e-6, 1
-        try:
-            solution = self._solver(
-                x0=start.ravel("F"),
-                p=np.r_[z.ravel("F"), 1.0 / max(1.0, np.sum(now**2))],
-                lbx=least.ravel("F"),
-                ubx=most.ravel("F"),
-                lbg=0.0,
-                ubg=share.ravel("F"),
-            )
-        except RuntimeError as error:
-            return guess[[C_L, C_U], :-1], str(error).strip().splitlines()[-1][-200:]
+        solution = self._solver(
+            x0=start.ravel("F"),
+            p=np.r_[z.ravel("F"), 1.0 / max(1.0, np.sum(now**2))],
+            lbx=least.ravel("F"),
+            ubx=most.ravel("F"),
+            lbg=0.0,
+            ubg=share.ravel("F"),
+        )
         reached = np.asarray(solution["x"]).reshape(-1, self.moving).T[:2]
         steps = np.diff(np.c_[now, reached], axis=1)[::-1] * c_b
         stats = self._solver.stats()

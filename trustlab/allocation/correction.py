@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -400,12 +401,13 @@ class ThresholdCorrector:
         self.horizon = whole_number("horizon", horizon, most=1_000_000)
         self._range = tsc.robot.p_min, tsc.robot.p_max
         self.incentive = function("incentive", incentive)
-        low, high = incentive(0.5, 0.5 * sum(self._range), self.c_b, *self._range)
-        if not sound.py_func(low, high, self.c_b):
-            raise ValueError(
-                f"incentive must return numbers in [−c_b, 0] and [0, c_b], c_b = {self.c_b:g}, but "
-                f"at r = 0.5 returns {low:g} and {high:g}"
-            )
+        for r in (0.1, 0.5, 0.9):
+            low, high = incentive(r, 0.5 * sum(self._range), self.c_b, *self._range)
+            if not sound.py_func(low, high, self.c_b):
+                raise ValueError(
+                    f"incentive must return numbers in [−c_b, 0] and [0, c_b], c_b = "
+                    f"{self.c_b:g}, but at r = {r} returns {low:g} and {high:g}"
+                )
         options = {"extra_cost": extra_cost, "switch_width": switch_width, "limit": limit}
         given: Any = {name: value for name, value in options.items() if value is not None}
         self.program: Any = None
@@ -417,10 +419,13 @@ class ThresholdCorrector:
         elif given:
             raise ValueError(f'{", ".join(given)} would do nothing without engine="casadi"')
         self._problem = tsc.constants(), self.c_b, np.array(self.target)
-        self._clipped = np.full((2, self.horizon), np.nan)
-        state = np.zeros(2), 1, self._clipped, np.zeros((7, 2))
-        # numba would look for it by the types of all arguments at every step; it takes no others
-        self._follow = compiled_for(follow, *self._problem, *state)
+        self.clipped = np.full((2, self.horizon), np.nan)
+        if incentive is incentive_box:
+            # numba would look for it by the types of all arguments at every step
+            state = np.zeros(2), 1, self.clipped, np.zeros((7, 2))
+            self._follow: Callable = compiled_for(follow, *self._problem, *state)
+        else:
+            self._follow = partial(follow_with.py_func, incentive, False)
 
     def step(
         self, r: float, p_r: float, lower: float, upper: float, mode: int = 1
@@ -454,7 +459,7 @@ class ThresholdCorrector:
         lower, upper = threshold_pair("threshold", (lower, upper))
         mode = whole_number("mode", mode, least=0, most=1)
         state = np.array([r, p_r, lower, upper])
-        cost, bound, path = self.followed(state, mode, self._clipped)
+        cost, bound, path = self.followed(state, mode, self.clipped)
         message = OPTIMAL if cost == bound else BOUNDED
         if np.isnan(cost):
             message = UNSOUND
@@ -493,15 +498,11 @@ class ThresholdCorrector:
         mode : int
             Mode before now.
         given : numpy.ndarray, shape (2, N)
-            Corrections c_l and c_u; NaN for clipped ones.
+            Corrections c_l and c_u, contiguous; NaN for clipped ones.
         """
         path = np.full((7, self.horizon + 1), np.nan)
         path[:4, 0] = state
-        arguments = *self._problem, state[2:], mode, given, path
-        if self.incentive is incentive_box:
-            called = self._follow if given is self._clipped else follow
-            return *called(*arguments), path
-        return *follow_with.py_func(self.incentive, False, *arguments), path
+        return *self._follow(*self._problem, state[2:], mode, given, path), path
 
 
 def suggestion_now(tsc: float, lower: float, upper: float) -> int:

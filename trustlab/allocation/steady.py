@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,29 +25,19 @@ from trustlab.models.tsc import (
 # Most samples that one model is simulated for: some seconds.
 EFFORT = 100_000_000
 
-# Rows of a motion; each has its least and greatest value and its mean.
+# Rows of a motion, dwell times by mode last; each has its least and greatest value and its mean.
 ROWS = "r", "p_r", "p_h", "tsc", "dwell_autonomous", "dwell_manual"
-R, P_R, P_H, TSC, AUTONOMOUS, MANUAL = range(6)
+DWELL = 4
 LOW, HIGH, MEAN = range(3)
 COLUMNS = [column for row in ROWS for column in (f"{row}_low", f"{row}_high", f"mean_{row}")]
 
 # Time constants of the slower process after which a phase counts as endless: e⁻⁵⁰ is left.
 ENDLESS = 50.0
 
-
-class Lengths(NamedTuple):
-    """
-    How many time constants are left to settle, and how many cycles are recorded then; the sample
-    time is as many times the model's as leaves `quick` samples to the quicker time constant.
-    """
-
-    settle: float
-    cycles: int
-    quick: float = math.inf
-
-
-# Of one pair of thresholds, of many, and of many under many models, to be screened.
-ALONE, EXACT, SCREEN = Lengths(30.0, 300), Lengths(20.0, 100), Lengths(7.0, 4, 50.0)
+# Time constants that are left to settle, cycles that are recorded then, and samples to the quicker
+# time constant, to which the sample time is stretched: of one pair of thresholds, of many, and of
+# many under many models, to be screened.
+ALONE, EXACT, SCREEN = (30.0, 300, math.inf), (20.0, 100, math.inf), (7.0, 4, 50.0)
 
 # From which states motions begin: β where TSC meets TSC_l, and rest.
 BOTH = False, True
@@ -88,19 +78,17 @@ def steady_motion(c, lower, upper, rested, settle, cycles, most):
         mode = threshold_mode(tsc, lower, upper, mode)
         if mode != before:
             if recorded >= 0:
-                _seen(rows[AUTONOMOUS + before], dwell)
+                _seen(rows[DWELL + before], dwell)
             dwell = 0
             if mode == 1 and done >= settle:
                 recorded += 1
             if recorded == cycles:
-                rows[:AUTONOMOUS, MEAN] /= samples
-                rows[AUTONOMOUS:, MEAN] /= cycles
+                rows[:DWELL, MEAN] /= samples
+                rows[DWELL:, MEAN] /= cycles
                 return rows
         if recorded >= 0:
-            _seen(rows[R], r)
-            _seen(rows[P_R], p_r)
-            _seen(rows[P_H], p_h)
-            _seen(rows[TSC], tsc)
+            for row, value in enumerate((r, p_r, p_h, tsc)):
+                _seen(rows[row], value)
             samples += 1
         r, p_r = advance(r, p_r, p_h, float(mode), c)
         done += 1
@@ -127,7 +115,7 @@ def longest_phase(c: TscConstants) -> int:
 def survey(
     models: Iterable[TscModel],
     pairs: np.ndarray | list,
-    lengths: Lengths = EXACT,
+    lengths: tuple[float, int, float] = EXACT,
     starts: tuple[bool, ...] = (False,),
 ) -> pd.DataFrame:
     """
@@ -139,20 +127,21 @@ def survey(
     points of (2.39): per cent of its range.
     """
     rows = []
+    settle, cycles, quick = lengths
     for number, tsc in enumerate(models):
         c = tsc.constants()
-        times = max(1, int(-1.0 / math.log(min(c.a_r, c.a_pr)) / lengths.quick))
+        times = max(1, int(-1.0 / math.log(min(c.a_r, c.a_pr)) / quick))
         kept = c.a_pr**times
         gain = c.b_pr * ((1.0 - kept) / (1.0 - c.a_pr))
         c = c._replace(a_r=c.a_r**times, a_pr=kept, b_pr=gain)
-        follow = lengths.settle * slowest(c), lengths.cycles, longest_phase(c)
+        follow = settle * slowest(c), cycles, longest_phase(c)
         for lower, upper in np.asarray(pairs).tolist():
             for rested in starts:
                 motion = steady_motion(c, lower, upper, rested, *follow)
-                low, high = motion[R, :MEAN]
+                (low, high, _), (*_, p_r), (*_, p_h) = motion[:3]
                 verdicts = low <= high, low <= c.beta <= high, max(low - c.beta, c.beta - high)
-                of_robot = (motion[P_R, MEAN] - c.p_r_min) / (c.p_r_max - c.p_r_min)
-                of_human = (motion[P_H, MEAN] - c.p_h_min) / (c.p_h_max - c.p_h_min)
+                of_robot = (p_r - c.p_r_min) / (c.p_r_max - c.p_r_min)
+                of_human = (p_h - c.p_h_min) / (c.p_h_max - c.p_h_min)
                 points = 100.0 * of_robot, 100.0 * of_human
                 rows.append((number, lower, upper, *motion.ravel(), *verdicts, *points))
     seen = "switches", "encloses", "off_beta", "robot_points", "human_points"

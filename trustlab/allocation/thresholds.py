@@ -14,7 +14,6 @@ from trustlab.allocation.steady import (
     BOTH,
     EXACT,
     SCREEN,
-    Lengths,
     LimitCycle,
     grid_of_pairs,
     limit_cycle,
@@ -326,7 +325,7 @@ def _beside_theorem_1(models: list[TscModel], lower: float, upper: float) -> str
 
 
 def _screened(
-    models: list[TscModel], pairs: np.ndarray, objective: str | float, lengths: Lengths
+    models: list[TscModel], pairs: np.ndarray, objective: str | float, lengths: tuple
 ) -> pd.DataFrame:
     """Return means over models, of a posterior the first of them, of what pairs lead to."""
     motions = survey(models[:SCREENED], pairs, lengths)
