@@ -153,10 +153,9 @@ def within_range(name: str, values: Any, least: float, most: float) -> Any:
 @njit
 def _allowed(wish, now, start, target, low, high):
     """Return a correction within its box that keeps a threshold between start and target."""
-    if np.isnan(wish):
-        return min(max(target - now, low), high)
-    moved = now + min(max(wish, low), high)
-    return min(max(moved, min(start, target)), max(start, target)) - now
+    wish = target - now if np.isnan(wish) else wish
+    least, most = min(start, target) - now, max(start, target) - now
+    return min(max(wish, low, least), high, most)
 
 
 @njit
@@ -183,8 +182,7 @@ def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
     alike = True  # whether all admissible plans have had the same modes so far
     nearest = start.copy()
     # Of the states that other plans may be in, the least and the greatest load and performance.
-    r_least, p_least = path[R, 0], path[P_R, 0]
-    r_most, p_most = r_least, p_least
+    least = most = path[R, 0], path[P_R, 0]
     for k in range(path.shape[1] - 1):
         r, p_r = path[R, k], path[P_R, k]
         lower, upper = path[L, k], path[U, k]
@@ -196,11 +194,10 @@ def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
         low, high = min(low, 0.0), max(high, 0.0)
         down, up = low, high
         if alike:
-            r_least, p_least = r, p_r
-            r_most, p_most = r, p_r
+            least = most = r, p_r
         elif certain:
-            up = max(incentive(r_least, p_least, c_b, c.p_r_min, c.p_r_max)[1], 0.0)
-            down = min(incentive(r_most, p_most, c_b, c.p_r_min, c.p_r_max)[0], 0.0)
+            up = max(incentive(least[0], least[1], c_b, c.p_r_min, c.p_r_max)[1], 0.0)
+            down = min(incentive(most[0], most[1], c_b, c.p_r_min, c.p_r_max)[0], 0.0)
         else:
             down, up = -c_b, c_b
         # Between switches (2.8) waits for one threshold alone, which other plans have between its
@@ -221,9 +218,9 @@ def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
         path[MODE, k] = mode
         path[R, k + 1], path[P_R, k + 1] = advance(r, p_r, p_h, float(mode), c)
         # Performance falls farthest under P_h,min where that is negative, else without anybody.
-        p_least = advance(0.0, p_least, min(c.p_h_min, 0.0), 1.0, c)[1]
-        r_least = advance(r_least, 0.0, 0.0, 0.0, c)[0]
-        r_most, p_most = advance(r_most, p_most, c.p_h_max, 1.0, c)
+        rested, _ = advance(least[0], 0.0, 0.0, 0.0, c)
+        least = rested, advance(0.0, least[1], min(c.p_h_min, 0.0), 1.0, c)[1]
+        most = advance(most[0], most[1], c.p_h_max, 1.0, c)
     return cost, min(bound, cost)
 
 
