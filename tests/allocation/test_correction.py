@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
-from tests.allocation.cases import PILOT, SECOND, START, TARGET, corrector, shape
+from tests.allocation.cases import PILOT, SECOND, START, TARGET, corrector, written_out
 from trustlab.allocation import TargetWarning, incentive_box
 from trustlab.allocation.correction import BOUNDED, OPTIMAL
 
@@ -30,23 +30,16 @@ def by_hand(model, r, p_r, lower, upper, mode, target, c_b, steps, lowering=0):
 
     In the first steps, as many as `lowering`, TSC_u is lowered as far as (2.42) allows instead.
     """
-    rows = []
-    cost = 0.0
-    robot, human = model.robot, model.human
-    for k in range(steps):
-        p_h = human.p_min
-        p_h += (human.p_max - human.p_min) * shape(r, human.beta) if 0 < r < 1 else 0.0
-        tsc = model.a_T * p_r - model.b_T * p_h
-        mode = 0 if tsc >= upper else 1 if tsc <= lower else mode
-        part = (p_r - robot.p_min) / (robot.p_max - robot.p_min)
-        low, high = -0.5 * (r + part) * c_b, 0.5 * (1 - r + 1 - part) * c_b
-        c_l, c_u = (min(max(a - b, low), high) for a, b in zip(target, (lower, upper), strict=True))
+    rows, cost, robot, pair = [], 0.0, model.robot, [lower, upper]
+    motion = written_out(model, pair, r, p_r, mode)
+    for k, (r_now, p_now, _, mode_now) in zip(range(steps), motion, strict=False):
+        part = (p_now - robot.p_min) / (robot.p_max - robot.p_min)
+        low, high = -0.5 * (r_now + part) * c_b, 0.5 * (1 - r_now + 1 - part) * c_b
+        c_l, c_u = (min(max(a - b, low), high) for a, b in zip(target, pair, strict=True))
         c_u = low if k < lowering else c_u
-        lower, upper = lower + c_l, upper + c_u
-        cost += (lower - target[0]) ** 2 + (upper - target[1]) ** 2
-        rows.append((c_l, c_u, mode))
-        p_r = robot.a * p_r + (1 - robot.a) * robot.p_min + mode * robot.b * p_h
-        r = human.a * r + (1 - human.a) * mode
+        pair[:] = pair[0] + c_l, pair[1] + c_u
+        cost += (pair[0] - target[0]) ** 2 + (pair[1] - target[1]) ** 2
+        rows.append((c_l, c_u, mode_now))
     return np.array(rows), cost
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from tests.allocation.cases import drawn_model, shape
+from tests.allocation.cases import drawn_model, shape, weights
 from trustlab.allocation import invariant_bounds, limit_cycle
 
 STARTS = list(itertools.product((0.0, 1.0), (0.0, 1.0), (0.0, 1.0)))
@@ -33,12 +33,6 @@ def random_pair(rng):
         lower, upper = rest + rng.normal() * 0.1, load + rng.normal() * 0.1
         if min(abs(lower - rest), abs(upper - load)) > 1e-3 and upper - lower > 0.02:
             return model, lower, upper
-
-
-def weights(model):
-    r, h = model.robot, model.human
-    scale = r.p_max * h.p_max - r.p_min * h.p_min
-    return (h.p_max + h.p_min) / scale, (r.p_max + r.p_min) / scale
 
 
 def brute_force(cases):
