@@ -161,12 +161,12 @@ def test_a_survey_has_the_motions_of_limit_cycle(operators):
     cases = itertools.product(models, pairs.tolist())
     for k, (tsc, pair) in enumerate(cases):
         cycle = limit_cycle(tsc, *pair)
-        assert exact["switches"][k] == screened["switches"][k] == cycle.exists
+        assert exact["p_switches"][k] == screened["p_switches"][k] == cycle.exists
         assert exact.loc[k, ["lower", "upper"]].tolist() == pair
         if not cycle.exists:
             assert np.isnan(exact["r_low"][k])
             continue
-        assert exact["encloses"][k] == cycle.encloses_beta
+        assert exact["p_encloses"][k] == cycle.encloses_beta
         for rows, near in ((exact, 1e-6), (screened, 0.01)):
             row = rows.loc[k]
             assert row["mean_r"] == pytest.approx(cycle.mean_r, abs=max(near, 1e-3))

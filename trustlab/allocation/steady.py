@@ -121,10 +121,11 @@ def survey(
     """
     Return the motions of models under pairs of thresholds: a row for each model, pair and start.
 
-    Columns are the number of the `model`, the thresholds, COLUMNS (NaN where a mode stays for
-    ever; dwell times in samples), whether the rule `switches`, whether utilization `encloses` β,
-    `off_beta`, how far it stays from β, and `robot_points` and `human_points`, mean performance in
-    points of (2.39): per cent of its range.
+    Columns are the number of the `model`, the thresholds, COLUMNS (NaN where a mode stays for ever;
+    dwell times in samples), whether the rule keeps switching, `p_switches`, and utilization
+    encloses β, `p_encloses`, probabilities once they are averaged over models, `off_beta`, how far
+    utilization stays from β, and `robot_points` and `human_points`, mean performance in points of
+    (2.39): per cent of its range.
     """
     rows = []
     settle, cycles, quick = lengths
@@ -144,7 +145,7 @@ def survey(
                 of_human = (p_h - c.p_h_min) / (c.p_h_max - c.p_h_min)
                 points = 100.0 * of_robot, 100.0 * of_human
                 rows.append((number, lower, upper, *motion.ravel(), *verdicts, *points))
-    seen = "switches", "encloses", "off_beta", "robot_points", "human_points"
+    seen = "p_switches", "p_encloses", "off_beta", "robot_points", "human_points"
     return pd.DataFrame(rows, columns=["model", "lower", "upper", *COLUMNS, *seen])
 
 
@@ -346,7 +347,7 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
     of_class("tsc", tsc, TscModel)
     lower, upper = in_order("lower", lower, "upper", upper)
     motions = survey([tsc], [(lower, upper)], ALONE, BOTH).to_dict("records")
-    going = [motion for motion in motions if motion["switches"]]
+    going = [motion for motion in motions if motion["p_switches"]]
     endless = endless_phase(tsc, lower, upper)
     ranges: Any = {"model": tsc, "lower": lower, "upper": upper}
     if not going:
@@ -361,7 +362,7 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
         exists=True,
         always=len(going) == 2 and not endless,
         reason=reason,
-        encloses_beta=all(motion["encloses"] for motion in going),
+        encloses_beta=all(motion["p_encloses"] for motion in going),
         mean_r=going[0]["mean_r"],
         mean_p_r=going[0]["mean_p_r"],
         **ranges,

@@ -50,13 +50,12 @@ ENDS = {"": 0.5, "_ci_low": 0.025, "_ci_high": 0.975}
 # How many times as much data are considered where no pair is probable enough.
 LONGER = (2, 4, 8, 16)
 
-# What candidates have of a survey, by its names there.
 PAIR = ["lower", "upper"]
-COLUMNS = {"switches": "p_switches", "encloses": "p_encloses"}
-COLUMNS |= {name: name for name in ("mean_r", "p_r_high", "mean_p_r", "objective", "off_beta")}
+COLUMNS = ["p_switches", "p_encloses", "mean_r", "p_r_high", "mean_p_r", "objective", "off_beta"]
 
 # What is asked of a pair: a column of a survey, and words.
-ENCLOSING, SWITCHING = ("encloses", "keeps switching around β"), ("switches", "keeps switching")
+ENCLOSING = "p_encloses", "keeps switching around β"
+SWITCHING = "p_switches", "keeps switching"
 
 OF_A_FIT = "for the estimate alone (trustlab.sample_posterior gives a probability)"
 UNSURE = (
@@ -91,9 +90,9 @@ class ThresholdChoice(Result):
     limits : ThresholdLimits
         TSC_lb and TSC_ub that the search kept to, medians over a posterior's draws.
     candidates : pandas.DataFrame
-        All pairs that were tried: lower, upper, p_switches, p_encloses, and means over the models
-        that keep switching of mean_r, p_r_high, mean_p_r, objective and off_beta, how far
-        utilization stays from β; negative where it encloses β.
+        All pairs that were tried, the best first: lower, upper, p_switches, p_encloses, and means
+        over the models that keep switching of mean_r, p_r_high, mean_p_r, objective and off_beta,
+        how far utilization stays from β; negative where it encloses β.
     tsc : TscModel or Posterior
         What they were chosen for; of a fit its model.
     """
@@ -263,19 +262,19 @@ def choose_thresholds(
     models = source.models if of_posterior else [of_class("tsc", source, TscModel)]
     limits, reason = _room(models, not_negative("delta_p_h", delta_p_h))
     lower = upper = probability = np.nan
-    message, around, table = "", 0.0, pd.DataFrame(columns=[*PAIR, *COLUMNS.values()], dtype=float)
+    message, around, table = "", 0.0, pd.DataFrame(columns=PAIR + COLUMNS, dtype=float)
     if not reason:
         off = share * (limits.upper - limits.lower)
         pairs = grid_of_pairs(limits.lower + off, limits.upper - off, count)
-        table = _screened(models, pairs, objective, SCREEN if of_posterior else EXACT)
         aim, goal = ENCLOSING if enclose else SWITCHING
-        nearest, count = _nearest_pairs(table, asked, aim)
-        lower, upper, probability, around = _followed(models, nearest[:count], asked, aim)
+        motions = survey(models[:SCREENED], pairs, SCREEN if of_posterior else EXACT)
+        table = _ranked(motions, objective, asked, aim)
+        lower, upper, probability, around = _followed(models, table, asked, aim)
         if probability < asked:
             reason = f"no pair between {pairs.min():.3f} and {pairs.max():.3f} {goal}"
             if of_posterior:
                 reason += f" with probability {asked:g}; the nearest does with {probability:.2f}. "
-                reason += _what_would_help(source, nearest, asked, aim)
+                reason += _what_would_help(source, table, asked, aim)
             elif enclose:
                 reason += _how_near(limit_cycle(source, lower, upper))
         else:
@@ -324,53 +323,46 @@ def _beside_theorem_1(models: list[TscModel], lower: float, upper: float) -> str
 # --- the search -----------------------------------------------------------------------------------
 
 
-def _screened(
-    models: list[TscModel], pairs: np.ndarray, objective: str | float, lengths: tuple
-) -> pd.DataFrame:
-    """Return means over models, of a posterior the first of them, of what pairs lead to."""
-    motions = survey(models[:SCREENED], pairs, lengths)
+def _ranked(motions: pd.DataFrame, objective: str | float, asked: float, aim: str) -> pd.DataFrame:
+    """
+    Return means over models of what pairs lead to, the best pair first: of those that do what is
+    asked, then of those nearest to it.
+    """
     weight = 1.0 if isinstance(objective, str) else objective
     points = weight * motions["robot_points"] + (1.0 - weight) * motions["human_points"]
     motions["objective"] = motions["p_r_high"] if objective == "peak" else points
-    return motions.groupby(PAIR)[[*COLUMNS]].mean().reset_index().rename(columns=COLUMNS)
-
-
-def _nearest_pairs(table: pd.DataFrame, asked: float, aim: str) -> tuple[np.ndarray, int]:
-    """
-    Return the best pairs, those that do what is asked, else those nearest to it, and how many of
-    them to follow.
-    """
-    share = table[COLUMNS[aim]]
-    able = share >= asked
-    first = table["objective"].where(able, share)
+    table = motions.groupby(PAIR)[COLUMNS].mean().reset_index()
+    able = table[aim] >= asked
+    first = table["objective"].where(able, table[aim])
     second = table["mean_p_r"].where(able, -table["off_beta"])
-    order = np.lexsort((-second, -first, ~able))
-    return table[PAIR].to_numpy()[order[:NEAREST]], FOLLOWED if able.any() else 1
+    return table.iloc[np.lexsort((-second, -first, ~able))].reset_index(drop=True)
 
 
 def _followed(
-    models: list[TscModel], pairs: np.ndarray, asked: float, aim: str
+    models: list[TscModel], table: pd.DataFrame, asked: float, aim: str
 ) -> tuple[float, float, float, float]:
     """
     Return the first pair that does what is asked, else the most probable, how probable that is, and
     that utilization encloses β; decided sample by sample, from β and from rest, for all models.
     """
+    count = FOLLOWED if table[aim][0] >= asked else 1
     tried = []
-    for pair in pairs:
+    for pair in table[PAIR].to_numpy()[:count]:
         motions = survey(models, [pair], starts=BOTH)
-        shares = motions.groupby("model")[["switches", "encloses"]].all().mean()
-        tried.append((*pair.tolist(), float(shares[aim]), float(shares["encloses"])))
+        shares = motions.groupby("model")[["p_switches", "p_encloses"]].all().mean()
+        tried.append((*pair.tolist(), float(shares[aim]), float(shares["p_encloses"])))
         if shares[aim] >= asked:
             break
     return max(tried, key=itemgetter(2))
 
 
-def _what_would_help(posterior: Posterior, pairs: np.ndarray, asked: float, aim: str) -> str:
+def _what_would_help(posterior: Posterior, table: pd.DataFrame, asked: float, aim: str) -> str:
     """Say how much longer to record, as if draws came nearer to their mean."""
     blocks = posterior.target.blocks
     minutes = blocks.measured.shape[1] * blocks.samples * blocks.step / 60.0
     thetas = posterior.thetas[:SCREENED]
     apart = (thetas - thetas.mean(axis=0))[:, :SHARED]
+    pairs = table[PAIR][:NEAREST]
     for times in LONGER:
         nearer = thetas.copy()
         nearer[:, :SHARED] -= (1.0 - times**-0.5) * apart
