@@ -63,14 +63,12 @@ def step_bounds(tsc: TscModel, r_low: float = 0.05, r_high: float = 0.95) -> Ste
     low = between("r_low", r_low, 0.0, 1.0)
     high = between("r_high", r_high, 0.0, 1.0)
     in_order("r_low", low, "r_high", high)
-    human = tsc.human
-    robot = tsc.robot
+    human, robot = tsc.human, tsc.robot
     # So fine a grid misses the greatest change by less than a billionth of it.
     r = np.linspace(low, high, 200_001)
     after = next_utilization.py_func(r, np.array([[0.0], [1.0]]), human.a)
     delta_p_h = float(np.abs(human.performance(after) - human.performance(r)).max())
-    ceiling = robot.p_min + robot.b * human.p_max / (1.0 - robot.a)
-    delta_p_r = (1.0 - robot.a) * max(robot.p_max - robot.p_min, ceiling - robot.p_min)
+    delta_p_r = max((1.0 - robot.a) * (robot.p_max - robot.p_min), robot.b * human.p_max)
     return StepBounds(delta_p_h, delta_p_r, tsc.delta(delta_p_r, delta_p_h))
 
 
