@@ -171,6 +171,14 @@ def test_greatest_steps_are_those_of_every_state():
         assert steps.delta_p_h == pytest.approx(change, rel=1e-9)
 
 
+def test_thresholds_at_their_limits_are_outside(operators):
+    limits = threshold_limits(operators["pilot"], 0.0)
+    assert limits.contains(np.nextafter(limits.lower, 1.0), np.nextafter(limits.upper, -1.0))
+    assert not limits.contains(limits.lower, 0.0)
+    assert not limits.contains(0.0, limits.upper)
+    assert not limits.contains(0.1, 0.1)
+
+
 # --- bounds on arrays -----------------------------------------------------------------------------
 
 
