@@ -416,10 +416,10 @@ class ThresholdCorrector:
         elif given:
             raise ValueError(f'{", ".join(given)} would do nothing without engine="casadi"')
         self._problem = tsc.constants(), self.c_b, np.array(self.target)
-        self.clipped = np.full((2, self.horizon), np.nan)
+        self._clipped = np.full((2, self.horizon), np.nan)
         if incentive is incentive_box:
             # numba would look for it by the types of all arguments at every step
-            state = np.zeros(2), 1, self.clipped, np.zeros((7, 2))
+            state = np.zeros(2), 1, self._clipped, np.zeros((7, 2))
             self._follow: Callable = compiled_for(follow, *self._problem, *state)
         else:
             self._follow = partial(follow_with.py_func, incentive, False)
@@ -456,13 +456,13 @@ class ThresholdCorrector:
         lower, upper = threshold_pair("threshold", (lower, upper))
         mode = whole_number("mode", mode, least=0, most=1)
         state = np.array([r, p_r, lower, upper])
-        cost, bound, path = self.followed(state, mode, self.clipped)
+        cost, bound, path = self.followed(state, mode, self._clipped)
         message = OPTIMAL if cost == bound else BOUNDED
         if np.isnan(cost):
             message = UNSOUND
         elif self.program is not None:
             bound = np.nan
-            cost, path, message = self.program.improved(state, mode)
+            cost, path, message = self.program.improved(state, mode, cost, path)
         held = np.isnan(cost)
         if held:  # nothing is predicted
             path[:, 1:] = np.nan
