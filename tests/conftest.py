@@ -1,7 +1,8 @@
-"""What all tests share: one place for hypothesis settings and the synthetic operators."""
+"""What all tests share: settings of hypothesis, a browser, and the synthetic operators."""
 
 import gc
 import os
+import shutil
 from collections import Counter
 
 # As many workers as cores, and one: one thread each for linear algebra, set before NumPy is loaded.
@@ -41,9 +42,8 @@ def pytest_collection_modifyitems(items):
     longest.
     """
     for item in items:
-        if item.nodeid.startswith("tests/live/") and {"browser", "chromium"} & set(
-            getattr(item, "fixturenames", ())
-        ):
+        drives = "browser" in getattr(item, "fixturenames", ())
+        if drives and item.nodeid.startswith("tests/live/"):
             item.add_marker(pytest.mark.xdist_group("browser"))
 
 
@@ -63,6 +63,22 @@ def pytest_terminal_summary(terminalreporter):
     for reason, count in reasons.most_common():
         tests = "1 test" if count == 1 else f"{count} tests"
         terminalreporter.write_line(f"{tests} skipped: {reason}")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium for the tests of a module; skipped with a line where there is none."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    names = map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
+    chromium = next(filter(None, names), None)
+    if chromium is None:
+        pytest.skip("needs Chromium: apt-get install chromium")
+    with sync_api.sync_playwright() as playwright:
+        started = playwright.chromium.launch(
+            executable_path=chromium, args=["--no-sandbox", "--disable-gpu"]
+        )
+        yield started
+        started.close()
 
 
 @pytest.fixture(scope="session")

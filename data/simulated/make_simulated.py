@@ -213,9 +213,8 @@ def checks() -> pd.DataFrame:
             "free, trust too high by 0.6": free.assign(trust_bias=0.6),
             "fitted": found.posterior,
         }
-        for assumed, posterior in people.items():
-            one = replace(found, posterior=posterior)
-            tables[name, assumed] = one.checks(40, seed=SEED + 1, n_jobs=2)
+        for assumed, each in people.items():
+            tables[name, assumed] = found.checks(40, seed=SEED + 1, people=each, n_jobs=2)
     return pd.concat(tables, names=["study", "assumed"]).reset_index(["study", "assumed"])
 
 

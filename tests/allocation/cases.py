@@ -16,6 +16,29 @@ def shape(r, beta):
     return (r / beta) ** beta * ((1 - r) / (1 - beta)) ** (1 - beta)
 
 
+def weights(model):
+    """a_T and b_T of (2.2)."""
+    r, h = model.robot, model.human
+    scale = r.p_max * h.p_max - r.p_min * h.p_min
+    return (h.p_max + h.p_min) / scale, (r.p_max + r.p_min) / scale
+
+
+def written_out(model, pair, r, p_r, mode):
+    """
+    (2.1)-(2.8) in plain Python, for ever: r, P_r, TSC and mode of each sample. `pair` holds the
+    thresholds, which may be changed after each sample.
+    """
+    robot, human, (a_T, b_T) = model.robot, model.human, weights(model)
+    while True:
+        share = shape(r, human.beta) if 0.0 < r < 1.0 else 0.0
+        p_h = human.p_min + (human.p_max - human.p_min) * share
+        tsc = a_T * p_r - b_T * p_h
+        mode = 0 if tsc >= pair[1] else 1 if tsc <= pair[0] else mode
+        yield r, p_r, tsc, mode
+        p_r = robot.a * p_r + (1 - robot.a) * robot.p_min + mode * robot.b * p_h
+        r = human.a * r + (1 - human.a) * mode
+
+
 def drawn_model(rng, human, robot, betas=(0.3, 0.95), spans=((0.02, 0.5), (0.1, 1.0))):
     """
     A model at random: log10(1 − a) of the human and of the robot, β, and by which shares of their

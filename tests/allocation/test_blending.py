@@ -23,8 +23,8 @@ def situation(seed):
 def cost(blending, alpha, now):
     """The cost that `step` minimizes, of an α that is held."""
     states = np.column_stack(now)
-    series = np.einsum("ai,amij,aj->m", states, blending.weights, states)
-    return np.polynomial.chebyshev.chebval(2.0 * alpha - 1.0, series)
+    series = np.einsum("ai,maij,aj->m", states, blending.weights, states)
+    return np.polynomial.polynomial.polyval(2.0 * alpha - 1.0, series)
 
 
 def printed_cost(alpha, u_h, u_a, e, rate, acceleration):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from tests.allocation.cases import drawn_model, shape
+from tests.allocation.cases import drawn_model, shape, weights
 from trustlab.allocation import invariant_bounds, limit_cycle
 
 STARTS = list(itertools.product((0.0, 1.0), (0.0, 1.0), (0.0, 1.0)))
@@ -33,12 +33,6 @@ def random_pair(rng):
         lower, upper = rest + rng.normal() * 0.1, load + rng.normal() * 0.1
         if min(abs(lower - rest), abs(upper - load)) > 1e-3 and upper - lower > 0.02:
             return model, lower, upper
-
-
-def weights(model):
-    r, h = model.robot, model.human
-    scale = r.p_max * h.p_max - r.p_min * h.p_min
-    return (h.p_max + h.p_min) / scale, (r.p_max + r.p_min) / scale
 
 
 def brute_force(cases):
@@ -112,24 +106,6 @@ def test_what_is_guaranteed_holds_from_adversarial_starts(count, seed):
     kept, stopped, often = check(count, seed)
     assert min(kept, stopped) > 0.1 * count
     assert often > 0.04 * count
-
-
-def test_the_pilot_below_the_lower_limit(operators):
-    """
-    The pair of the pilot operator at which a cycle exists, but a rested operator's robot keeps
-    control for ever.
-    """
-    pilot = operators["pilot"]
-    run = tl.simulate_allocation(pilot, -0.51, 0.3, 50_000, r0=0.0, mode=0)
-    assert (run["mode"] == 0.0).all()
-    bounds, cycle = invariant_bounds(pilot, -0.51, 0.3), limit_cycle(pilot, -0.51, 0.3)
-    assert not bounds.guaranteed
-    assert "from rest (r = 0) the mode stays autonomous: TSC settles at -0.4909" in bounds.reason
-    assert cycle.exists
-    assert not cycle.always
-    assert "stays autonomous" in cycle.reason
-    with pytest.raises(ValueError, match=r"does not keep switching.*from rest"):
-        tl.ThresholdCorrector(pilot, (-0.51, 0.3))
 
 
 def test_at_the_limits_themselves_nothing_is_guaranteed(operators):

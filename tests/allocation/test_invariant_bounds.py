@@ -11,7 +11,6 @@ from trustlab.allocation import (
     invariant_bounds,
     limit_cycle,
     simulate_allocation,
-    steady_state_bounds,
     threshold_limits,
 )
 
@@ -102,26 +101,6 @@ def test_the_check_catches_bounds_that_are_too_narrow(random_model):
         )
         caught += bool(leaves(narrow, model, lower, upper, rng))
     assert caught > 10
-
-
-def test_the_printed_upper_bound_is_left():
-    """
-    Theorem 2's r_u (2.33), worked counterexample: utilization rises above it, and not above ours.
-    """
-    human = tl.HumanModel(a=0.998, beta=0.5, p_min=0.3, p_max=0.34)
-    model = tl.TscModel(tl.RobotModel(a=0.98, p_min=0.2, p_max=0.3, p_h_max=0.34), human)
-    lower, upper = -0.5, 0.0
-    run = simulate_allocation(model, lower, upper, 40_000, r0=0.3).iloc[20_000:]
-    delta = model.delta(run["p_r"].diff().abs().max(), run["p_h"].diff().abs().max())
-    printed = steady_state_bounds(model, lower, upper, delta_tsc=delta)
-    ours = invariant_bounds(model, lower, upper)
-    assert run["r"].max() > printed.r_high + 0.2
-    assert ours.r_low <= run["r"].min()
-    assert run["r"].max() <= ours.r_high
-    # What else is printed holds here: (2.14), (2.15) and the lower bound.
-    assert run["tsc"].between(printed.tsc_low, printed.tsc_high).all()
-    assert run["p_r"].between(printed.p_r_low, printed.p_r_high).all()
-    assert run["r"].min() >= printed.r_low
 
 
 def extreme(rng):

@@ -5,6 +5,7 @@ Oracles: `limit_cycle` of single draws; the people that the logs were made of.
 """
 
 import importlib.util
+import itertools
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from tests.allocation.cases import shape
+from tests.allocation.cases import written_out
 from trustlab.allocation import thresholds
 
 LOGS = Path(__file__).parents[1] / "identification" / "posterior" / "simulated_logs.py"
@@ -69,12 +70,14 @@ def test_a_probability_is_that_of_the_motion_itself(clear, operators, name, marg
 
 def test_where_no_pair_is_probable_one_alone_is_followed_with_all_draws(unclear, monkeypatch):
     """That is most of the time that a posterior takes."""
-    follow, followed = thresholds.from_both_starts, []
-    monkeypatch.setattr(
-        thresholds,
-        "from_both_starts",
-        lambda models, pair: followed.append(pair) or follow(models, pair),
-    )
+    follow, followed = thresholds.survey, []
+
+    def survey(models, pairs, *lengths, **starts):
+        if starts:
+            followed.extend(map(tuple, pairs))
+        return follow(models, pairs, *lengths, **starts)
+
+    monkeypatch.setattr(thresholds, "survey", survey)
     with pytest.warns(UserWarning, match="No thresholds"):
         choice = tl.choose_thresholds(unclear, points=8, confidence=0.999)
     assert followed == [(choice.lower, choice.upper)]
@@ -165,21 +168,10 @@ def test_objectives_of_a_model(operators):
 
 
 def switches_around_beta(tsc, lower, upper, size=40_000):
-    """Whether a person does so from r = .6: (2.1)-(2.8) written out, without the package."""
-    robot, human = tsc.robot, tsc.human
-    scale = robot.p_max * human.p_max - robot.p_min * human.p_min
-    a_T, b_T = (human.p_max + human.p_min) / scale, (robot.p_max + robot.p_min) / scale
-    r, p_r, mode, loads, modes = 0.6, robot.p_min, 1, [], []
-    for _ in range(size):
-        p_h = human.p_min + (human.p_max - human.p_min) * (shape(r, human.beta) if r < 1 else 0)
-        tsc_now = a_T * p_r - b_T * p_h
-        mode = 0 if tsc_now >= upper else 1 if tsc_now <= lower else mode
-        loads.append(r)
-        modes.append(mode)
-        p_r = robot.a * p_r + (1 - robot.a) * robot.p_min + mode * robot.b * p_h
-        r = human.a * r + (1 - human.a) * mode
-    late = loads[size // 2 :]
-    return len(set(modes[size // 2 :])) == 2 and min(late) <= human.beta <= max(late)
+    """Whether a person does so from r = .6."""
+    motion = written_out(tsc, (lower, upper), 0.6, tsc.robot.p_min, 1)
+    loads, _, _, modes = zip(*itertools.islice(motion, size // 2, size), strict=True)
+    return len(set(modes)) == 2 and min(loads) <= tsc.human.beta <= max(loads)
 
 
 @pytest.mark.long

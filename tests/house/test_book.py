@@ -13,7 +13,6 @@ import pytest
 import trustlab as tl
 from tests.house.documents import ROOT
 from tests.publishing.world import (
-    chromium,
     faults,
     pages,
     publish,
@@ -158,26 +157,24 @@ def test_whole_book(site):
 
 
 @pytest.mark.long
-def test_pages_in_a_browser(site):
-    for browser in chromium():
-        assert walked(browser, pages(site)) == []
-        tab = browser.new_page()
-        named = ("index", "start", "finder", "api/fit_robot", "api/room_models", "how_to/logs")
-        paths = [site / f"{name}.html" for name in named] + sorted(site.glob("[0-9p]*.html"))
-        assert [fault for path in paths for fault in serious(tab, path)] == []
+def test_pages_in_a_browser(site, browser):
+    assert walked(browser, pages(site)) == []
+    tab = browser.new_page()
+    named = ("index", "start", "finder", "api/fit_robot", "api/room_models", "how_to/logs")
+    paths = [site / f"{name}.html" for name in named] + sorted(site.glob("[0-9p]*.html"))
+    assert [fault for path in paths for fault in serious(tab, path)] == []
 
 
 @pytest.mark.long
-def test_search_knows_the_words_of_users(site):
-    for browser in chromium():
-        tab, missed = browser.new_page(), {}
-        for question, wanted in QUESTIONS.items():
-            tab.goto(f"{(site / 'search.html').as_uri()}?q={quote(question)}")
-            tab.get_by_text("Search finished").wait_for()
-            hits = tab.eval_on_selector_all(HITS, "links => links.map(link => link.pathname)")
-            if not any(hit.endswith(f"{wanted}.html") for hit in hits[:3]):
-                missed[question] = hits[:3]
-        assert missed == {}
+def test_search_knows_the_words_of_users(site, browser):
+    tab, missed = browser.new_page(), {}
+    for question, wanted in QUESTIONS.items():
+        tab.goto(f"{(site / 'search.html').as_uri()}?q={quote(question)}")
+        tab.get_by_text("Search finished").wait_for()
+        hits = tab.eval_on_selector_all(HITS, "links => links.map(link => link.pathname)")
+        if not any(hit.endswith(f"{wanted}.html") for hit in hits[:3]):
+            missed[question] = hits[:3]
+    assert missed == {}
 
 
 def test_the_check_sees_what_it_should(tmp_path):

@@ -3,7 +3,6 @@
 import ast
 import functools
 import re
-import shutil
 import subprocess
 import sys
 import tarfile
@@ -42,29 +41,22 @@ def room_of(path):
 
 
 def imported(source):
-    """Every trustlab room that a module imports, wherever in it."""
+    """Yield the dotted names of all modules that a file imports, wherever in it."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
+            yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "relative import"
-            names = [node.module] + [
-                f"{node.module}.{alias.name}" for alias in node.names if node.module == "trustlab"
-            ]
-        else:
-            continue
-        for name in names:
-            parts = name.split(".")
-            if parts[0] == "trustlab" and len(parts) > 1:
-                yield parts[1]
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
 def faults(room, source):
     if room not in ROOMS:
         return [f"{room} is no room"]
+    others = (name.split(".")[1] for name in imported(source) if name.startswith("trustlab."))
     return [
         f"{room} imports {other}"
-        for other in imported(source)
+        for other in others
         if other in ROOMS and ROOMS.index(other) > ROOMS.index(room)
     ]
 
@@ -132,68 +124,31 @@ def sources_of(folder):
     return [p for p in (ROOT / folder).rglob("*.py") if ".venv" not in p.parts]
 
 
-def imports(source):
-    """Top-level modules that a file imports: (name, whether it must be there)."""
-    tree = ast.parse(source)
-    guarded = {
-        inner
-        for node in ast.walk(tree)
-        if (isinstance(node, ast.With) and ast.unparse(node.items[0]).startswith("extra("))
-        or (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
-        or (
-            isinstance(node, ast.Try)
-            and any("Import" in ast.unparse(h.type or node) for h in node.handlers)
-        )
-        for inner in ast.walk(node)
-    }
-    for node in ast.walk(tree):
-        modules = []
-        if isinstance(node, ast.Import):
-            modules = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            modules = [node.module]
-        for module in modules:
-            top = module.partition(".")[0]
-            own = ("trustlab", "tests", "benchmarks", "notebooks")
-            if top not in sys.stdlib_module_names and top not in own:
-                yield top, node not in guarded
-
-
 @functools.cache
 def distributions(folder):
-    """
-    Distributions that the files of a folder import: all, and those imported without `extra` or
-    another guard.
-    """
+    """Distributions that the files of a folder import."""
     known = packages_distributions()
-    anywhere, needed = set(), set()
-    for path in sources_of(folder):
-        found: dict[bool, set] = {True: set(), False: set()}
-        for module, must in imports(path.read_text()):
-            found[must] |= {name.lower().replace("_", "-") for name in known.get(module, [module])}
-        anywhere |= found[True] | found[False]
-        needed |= found[True] - found[False]  # one guard in a file is enough
-    return anywhere, needed
+    tops = {name.partition(".")[0] for p in sources_of(folder) for name in imported(p.read_text())}
+    others = (
+        tops - sys.stdlib_module_names - {"trustlab", "tests", "benchmarks", "notebooks", "data"}
+    )
+    found = (name for top in others for name in known.get(top, [top]))
+    return {name.lower().replace("_", "-") for name in found}
 
 
 def test_what_trustlab_imports_is_declared():
-    anywhere, needed = distributions("trustlab")
-    assert anywhere - CORE - OPTIONAL == {"rclpy"}  # which a lab's own ROS 2 has
-    assert needed - CORE == {"rclpy"}
+    assert distributions("trustlab") - CORE - OPTIONAL == {"rclpy"}  # of a lab's own ROS 2
 
 
 def test_what_is_declared_is_imported():
-    imported = distributions("trustlab")[0] | distributions("docs")[0]
+    imported = distributions("trustlab") | distributions("docs")
     assert (CORE | OPTIONAL) - imported == NOT_IMPORTED
 
 
 @pytest.mark.parametrize("folder", ["tests", "data"])
 def test_what_tests_import_is_declared(folder):
     beside = {path.stem for path in sources_of(folder)}
-    assert (
-        distributions(folder)[1] - CORE - OPTIONAL - DEV - ROS - beside - {"no-such-package"}
-        == set()
-    )
+    assert distributions(folder) - CORE - OPTIONAL - DEV - ROS - beside == set()
 
 
 # --- extras ---------------------------------------------------------------------------------------
@@ -275,11 +230,9 @@ def test_the_lock_has_every_dependency_and_names_no_registry():
 
 def test_wheel_and_sdist_are_whole(tmp_path):
     source = tmp_path / "source"
-    listed = subprocess.check_output(["git", "ls-files"], cwd=ROOT, text=True).splitlines()
-    tracked = [name for name in listed if (ROOT / name).is_file()]
-    for name in tracked:
-        (source / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / name, source / name)
+    command = ["git", "checkout-index", "--all", f"--prefix={source}/"]
+    subprocess.run(command, cwd=ROOT, check=True)
+    tracked = [str(p.relative_to(source)) for p in source.rglob("*") if p.is_file()]
     command = [sys.executable, "-m", "hatchling", "build", "-d", str(tmp_path)]
     done = subprocess.run(command, cwd=source, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

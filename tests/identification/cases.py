@@ -1,31 +1,18 @@
 """Logs and people that the tests of identification share."""
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 import trustlab as tl
+from notebooks import noise_settings
 
 ROOT = Path(__file__).parents[2]
 MODELS = tl.published_models()
 PILOT = MODELS["pilot"]
 SWITCHING = np.repeat([1.0, 0.0] * 4, 2500)
 NOISE = 0.003
-
-
-def settings():
-    """The module of the notebooks that makes logs of ten kinds of noise."""
-    spec = importlib.util.spec_from_file_location(
-        "noise_settings", ROOT / "notebooks/noise_settings.py"
-    )
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-SETTINGS = settings()
 
 
 def log(step=0.1, **columns):
@@ -45,7 +32,7 @@ def session(mode=SWITCHING, noise=NOISE, seed=0, model=PILOT, r0=0.3, p_r0=0.3, 
 
 def of_setting(name, seed):
     """A session of a setting of the notebook's, said to be simulated, and its options."""
-    make, options = SETTINGS.SETTINGS[name]
+    make, options = noise_settings.SETTINGS[name]
     return tl.Session(make(np.random.default_rng(seed)), tl.Metadata(synthetic=True)), options
 
 

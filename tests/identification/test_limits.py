@@ -3,7 +3,7 @@ Data that cannot tell a parameter: it is named, its interval is wide, or the fit
 reason.
 """
 
-from types import MappingProxyType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -65,26 +65,6 @@ def test_utilization_that_hardly_moves_names_beta():
     assert statuses(fit, "beta", "p_min") == {"weak"}
 
 
-def test_no_decay_to_see_makes_a_wide_interval():
-    """A steady operator and one autonomous phase of two samples: nothing is seen of the decay."""
-    robot, rng = PILOT.robot, np.random.default_rng(0)
-    mode, p_h = np.ones(6000), np.full(6000, 0.44)
-    mode[3000:3002] = 0.0
-    p_r = robot.simulate(mode, p_h, robot.steady_state(1.0, 0.44))
-    steady = log(mode=mode, p_h=p_h, p_r=p_r + 0.003 * rng.standard_normal(6000))
-    with pytest.raises(
-        IdentificationError, match=r"driven by the measured p_h: .*identification\.ROBOT"
-    ):
-        tl.fit_robot(steady, p_h_max=0.4602)
-    fit = tl.fit(ROBOT, steady, fixed={"p_h_max": 0.4602})
-    row = fit.table().loc["p_min"]
-    assert not fit.success
-    assert row["status"] == "weak"
-    assert "p_min" in fit.message
-    assert row["ci_high"] - row["ci_low"] > 0.1
-    assert row["ci_low"] <= robot.p_min <= row["ci_high"]
-
-
 def test_an_operator_who_is_not_determined_is_named_in_the_fit_of_the_robot():
     """
     Half a minute each way: utilization hardly moves, and the greatest performance is anyone's
@@ -102,13 +82,6 @@ def test_a_robot_that_is_better_alone_contradicts_the_model():
         tl.fit_robot(clean.with_columns(p_r=0.7 - clean["p_r"]))
 
 
-def test_ranges_that_give_no_weights_are_an_identification_error():
-    noisy = session()
-    with pytest.raises(tl.IdentificationError, match="give no a_T and b_T") as caught:
-        tl.fit_tsc(noisy.with_columns(p_r=noisy["p_r"] - 0.5))
-    assert "robot_p_min" in caught.value.parameters
-
-
 def test_an_autonomous_robot_with_a_known_p_min_says_nothing_of_p_max():
     alone = session(np.zeros(3000))
     fixed = {"robot_p_min": PILOT.robot.p_min}
@@ -116,44 +89,41 @@ def test_an_autonomous_robot_with_a_known_p_min_says_nothing_of_p_max():
         tl.fit_tsc(alone, fixed=fixed)
 
 
-def test_where_all_is_fixed_errors_are_those_of_the_model():
-    noisy, human = session(), PILOT.human
-    values = {"a": human.a, "beta": human.beta, "p_min": human.p_min, "p_max": human.p_max}
-    fit = tl.fit_human(noisy, fixed=values | {"r0": 0.3}, noise="white")
-    np.testing.assert_allclose(fit.runs[0].errors["p_h"], fit.residuals()[0], atol=1e-12)
-    assert fit.sigma["p_h"] == pytest.approx(0.003, rel=0.02)
-
-
-def test_the_operator_of_the_robot_may_be_held():
-    held = tl.fit_robot(session(), fixed={"human_beta": PILOT.human.beta})
-    assert held.model.a == pytest.approx(PILOT.robot.a, abs=1e-4)
-
-
-def test_a_robot_needs_no_weights_of_its_operator():
-    """TSC needs them, which `fit_robot` does not return."""
+def test_ranges_that_give_no_weights_are_refused_where_these_are_returned():
+    """TSC needs them, a robot does not."""
     noisy = session()
     lower = noisy.with_columns(p_r=noisy["p_r"] - 0.5)
+    with pytest.raises(IdentificationError, match="give no a_T and b_T") as caught:
+        tl.fit_tsc(lower)
+    assert "robot_p_min" in caught.value.parameters
     robots = [tl.fit_robot(each).model for each in (noisy, lower)]
     assert robots[1].p_min == pytest.approx(robots[0].p_min - 0.5, abs=1e-4)
     assert robots[1].a == pytest.approx(robots[0].a, abs=1e-4)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("fit", "arguments", "says"),
     [
-        ({"p_h_max": 0.4}, r"^p_h_max, .*is 0\.4, but the measured p_h is .*in the median"),
-        ({"p_h_max": 1000.0}, "give it in this unit"),
-        ({"fixed": {"b": 0.1}}, r"fixed names 'b'.*\(a, p_min, p_max, p_h_max,.* p_r0\)"),
-        ({"bounds": {"p_max": (0.5, 0.4)}}, "^bounds of p_max must be"),
+        (tl.fit_robot, {"p_h_max": 0.4}, r"^p_h_max, .*is 0\.4, but the measured p_h is .*median"),
+        (tl.fit_robot, {"p_h_max": 1000.0}, "give it in this unit"),
         (
+            tl.fit_robot,
+            {"fixed": {"b": 0.1}},
+            r"fixed names 'b'.*\(a, p_min, p_max, p_h_max,.* p_r0",
+        ),
+        (
+            tl.fit_robot,
             {"bounds": {"p_min": (0.6, 0.9), "p_max": (0.1, 0.3)}},
             "or bounds rule it out: the fit has p_max = 0.3, not above p_min = 0.6",
         ),
+        (tl.fit_human, {"bounds": {"beta": (1.5, 2.0)}}, "lie outside"),
+        (tl.fit_human, {"fixed": {"a": 0.9}, "bounds": {"a": (0.8, 0.95)}}, "both fixed and bound"),
+        (tl.fit_tsc, {"fixed": {"a": 0.99}}, "did you mean 'human_a' or 'robot_a'"),
     ],
 )
-def test_a_robot_is_refused_in_its_own_words(arguments, says):
+def test_values_that_cannot_be_held_are_refused_in_the_words_of_the_fit(fit, arguments, says):
     with pytest.raises(ValueError, match=says):
-        tl.fit_robot(session(), **arguments)
+        fit(session(), **arguments)
 
 
 def test_bounds_hold_and_are_reported():
@@ -166,44 +136,12 @@ def test_bounds_hold_and_are_reported():
     assert free.model.beta == pytest.approx(tl.fit_human(session()).model.beta, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        ({"fixed": {"betta": 0.7}}, "did you mean 'beta'"),
-        (
-            {"bounds": {"p_min": (0.6, 0.9), "p_max": (0.1, 0.3)}},
-            "or bounds rule it out: the fit has p_max = 0.3, not above p_min = 0.6",
-        ),
-        ({"bounds": {"beta": (1.5, 2.0)}}, "lie outside"),
-        ({"fixed": {"a": 0.9}, "bounds": {"a": (0.8, 0.95)}}, "both fixed and bounded"),
-    ],
-)
-def test_arguments_that_are_not_understood(arguments, says):
-    with pytest.raises(ValueError, match=says):
-        tl.fit_human(session(), **arguments)
-
-
-def test_misspelt_names_are_told_what_was_meant():
-    noisy = session()
-    with pytest.raises(TypeError, match="did you mean 'mode_delay'"):
-        tl.fit_tsc(noisy, mode_dely=True)
-    with pytest.raises(ValueError, match="did you mean 'human_a' or 'robot_a'"):
-        tl.fit_tsc(noisy, fixed={"a": 0.99})
-    with pytest.raises(ValueError, match="p_h_max, the greatest human performance, is 0"):
-        tl.fit(ROBOT, noisy, fixed={"p_h_max": 0.0})
-    held = tl.fit_human(noisy, fixed=MappingProxyType({"beta": 0.7}))
-    assert held.model.beta == 0.7
-
-
 def test_sessions_that_do_not_fit_together():
     one = session()
     run = SimpleNamespace(session=one)
     for sessions, error, says in (
         ([one, session(step=0.05)], IdentificationError, r"0.1 s and .*0.05 s"),
-        ([], IdentificationError, "no session"),
-        ([one.data], ValueError, "must be of class Session, got DataFrame; pass a session or"),
         (run, ValueError, r"got SimpleNamespace; pass its \.session"),
-        ([run], ValueError, r"got SimpleNamespace; pass its \.session"),
         (log(mode=one["mode"], p_r=one["p_r"]), tl.SessionError, "no column 'p_h'"),
     ):
         with pytest.raises(error, match=says):

@@ -17,11 +17,11 @@ from hypothesis import given, strategies as st
 from scipy import signal, stats
 
 import trustlab as tl
+from notebooks import noise_settings
 from tests.identification.cases import (
     NOISE,
     PILOT,
     ROOT,
-    SETTINGS,
     SWITCHING,
     log,
     of_setting,
@@ -31,18 +31,17 @@ from tests.identification.cases import (
 )
 from trustlab.identification import TSC
 from trustlab.identification.log import read_runs, undo_window, window_means
-from trustlab.identification.noise import Noise, whiten
 from trustlab.identification.problem import Problem, _deviance_with_noise, rough_optima
 from trustlab.sessions.metrics import window_mean
 
 STORED = ROOT / "data" / "coverage" / "fits.csv"
 TRUTH = truth()
-NAMES = SETTINGS.TRUTH
+NAMES = noise_settings.TRUTH
 
 
 def windowed(window, seed, loop="open", where="before", noise=NOISE):
     """A session of the pilot operator whose performances are means over a window."""
-    return SETTINGS.windowed(np.random.default_rng([seed, 7]), window, loop, where, noise)
+    return noise_settings.windowed(np.random.default_rng([seed, 7]), window, loop, where, noise)
 
 
 # --- the window -----------------------------------------------------------------------------------
@@ -82,23 +81,6 @@ def test_a_robot_is_driven_by_what_the_window_averaged():
     fixed = {"p_h_max": PILOT.robot.p_h_max}
     fit = tl.fit(tl.identification.ROBOT, windowed(10.0, 0, noise=0.0), fixed=fixed)
     assert fit.model.a == pytest.approx(PILOT.robot.a, abs=1e-7)
-
-
-@pytest.mark.long
-def test_draws_cover_the_truth_where_fits_leave_it_open():
-    """
-    In closed loop r stays above 0.7: with noise on the means, logs leave p_min open. Many fits say
-    so; of the intervals of the rest, some cover only 87 to 93 %. Those of draws cover.
-    """
-    expected, inside = TRUTH[list(NAMES)], []
-    for window in (10.0, 30.0, 100.0):
-        sessions = [windowed(window, seed, "closed", "after") for seed in range(8)]
-        assert sum(tl.fit_tsc(each).success for each in sessions) <= 5
-        for seed, each in enumerate(sessions):
-            below = (tl.sample_posterior(each, seed=seed).draws[list(NAMES)] < expected).mean()
-            inside.append((below - 0.5).abs() <= 0.475)
-    coverage = pd.DataFrame(inside).mean()
-    assert (coverage > 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / len(inside))).all(), coverage
 
 
 def test_a_second_valley_as_deep_is_named():
@@ -167,22 +149,6 @@ def test_a_model_of_ones_own_has_a_window_for_free():
 # --- noise ----------------------------------------------------------------------------------------
 
 
-def test_the_kalman_filter_whitens_like_a_cholesky_factor():
-    rng = np.random.default_rng(0)
-    size = 60
-    share = 0.3
-    memory = 0.9
-    values, missing = rng.standard_normal((size, 3)), rng.random(size) < 0.2
-    errors, logs = whiten(values, ~missing, Noise(share, memory))
-    lag = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
-    covariance = share * memory**lag + (1.0 - share) * np.eye(size)
-    there = ~missing
-    factor = np.linalg.cholesky(covariance[np.ix_(there, there)])
-    np.testing.assert_allclose(errors[there], np.linalg.solve(factor, values[there]), atol=1e-12)
-    assert not errors[missing].any()
-    assert logs == pytest.approx(2.0 * np.log(np.diag(factor)).sum(), rel=1e-12)
-
-
 def test_what_a_log_may_do_is_named_and_allowed_for():
     dropouts = of_setting("dropouts to 0", 5)[0]
     assert "dropouts?" in tl.fit_tsc(dropouts).message
@@ -192,16 +158,6 @@ def test_what_a_log_may_do_is_named_and_allowed_for():
     assert "mode_delay=True" in plain.message
     delay = tl.fit_tsc(early, **options).table().loc["mode_delay"]
     assert delay["ci_low"] - 0.05 < 1.0 < delay["ci_high"] + 0.05
-
-
-def test_the_robot_alone_takes_the_options_too():
-    late, options = of_setting("mode stamped 1 s early", 1)
-    table = tl.fit_robot(late, **options).table()
-    names = ["a", "p_min", "p_max", "p_h_max", "mode_delay", "b", "time_constant"]
-    assert list(table.index) == names
-    assert table.loc["mode_delay", "value"] == pytest.approx(1.0, abs=0.2)
-    assert abs(table.loc["a", "value"] - PILOT.robot.a) < 4.0 * table.loc["a", "stderr"]
-    assert not tl.fit_robot(late).success
 
 
 def test_coarse_numbers_and_slow_noise_are_doubted():
@@ -257,7 +213,7 @@ def test_errors_of_many_stamps_are_worked_out_for_some_of_them(monkeypatch):
 
 def delayed(late):
     """A session whose mode acts late."""
-    frame = SETTINGS.white(np.random.default_rng(3), SETTINGS.clean(late=late))
+    frame = noise_settings.white(np.random.default_rng(3), noise_settings.clean(late=late))
     return tl.Session(frame, tl.Metadata(synthetic=True))
 
 
@@ -289,7 +245,7 @@ def test_an_error_that_all_stamps_share_widens_the_intervals_where_stamps_are_no
 
 def shortfall(rows):
     """Which parameters are covered in fewer than 90 %, less two of that share's deviations."""
-    table = SETTINGS.by_parameter(rows)
+    table = noise_settings.by_parameter(rows)
     table = table[(table["way"] != "before") & (table["successes"] >= 0.1 * table["fits"])]
     least = 0.9 - 2.0 * np.sqrt(0.9 * 0.1 / table["successes"])
     return table[table["coverage"] < least]
@@ -302,7 +258,7 @@ def test_stored_coverage_is_met_or_doubted():
     """
     stored = pd.read_csv(STORED)
     assert shortfall(stored).empty
-    assert set(stored["setting"]) >= {*SETTINGS.SETTINGS, *SETTINGS.WINDOWS}
+    assert set(stored["setting"]) >= {*noise_settings.SETTINGS, *noise_settings.WINDOWS}
 
 
 AGAIN = ["white", "quantised at 0.01", "dropouts to 0", "logged at 1 Hz"]
@@ -314,17 +270,17 @@ def test_stored_coverage_is_that_of_the_settings(setting):
     """A session of the stored ones, fitted again: the same errors, or doubted again."""
     stored = pd.read_csv(STORED)
     stored = stored[stored["setting"] == setting].set_index("session").loc[3]
-    fresh = SETTINGS.covers(np.random.SeedSequence([11, 3]), setting)
+    fresh = noise_settings.covers(np.random.SeedSequence([11, 3]), setting)
     for name, value in fresh.items():
         assert stored[name] == pytest.approx(value, rel=0.02, abs=0.02, nan_ok=True), name
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("setting", [*SETTINGS.SETTINGS, *SETTINGS.WINDOWS])
+@pytest.mark.parametrize("setting", [*noise_settings.SETTINGS, *noise_settings.WINDOWS])
 def test_settings_cover_the_truth_or_say_that_they_do_not(setting):
     """40 seeds of each that are not the stored ones."""
     seeds = np.random.SeedSequence(11).spawn(40)
-    rows = pd.DataFrame([SETTINGS.covers(seed, setting) for seed in seeds])
+    rows = pd.DataFrame([noise_settings.covers(seed, setting) for seed in seeds])
     assert shortfall(rows.assign(setting=setting)).empty
 
 

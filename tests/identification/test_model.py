@@ -14,12 +14,11 @@ import pandas as pd
 import pytest
 import statsmodels.api as sm
 from scipy.signal import lfilter
-from statsmodels.stats.sandwich_covariance import S_hac_simple
 
 import trustlab as tl
 from tests.identification.cases import PILOT, SWITCHING, log, scores, session
 from tests.identification.test_independent import human_output, robot_output
-from trustlab.identification import HUMAN, ROBOT, TSC
+from trustlab.identification import ROBOT, TSC
 from trustlab.identification.log import read_runs
 from trustlab.identification.noise import hac_lags
 from trustlab.identification.problem import Problem
@@ -168,33 +167,6 @@ def test_standard_errors_are_those_of_ols():
     np.testing.assert_allclose(robust.parameters["stderr"], oracle.bse, rtol=1e-6)
 
 
-def test_a_transfer_function_has_the_same_form_of_robust_errors():
-    """
-    It lacked n/(n − p). Oracle: the response written out, its Jacobian by central differences,
-    statsmodels' HAC sum.
-    """
-    rng = np.random.default_rng(3)
-    u = np.repeat(rng.uniform(-0.2, 0.2, 8), 10)
-
-    def response(gain, d, start):
-        v, out = start, []
-        for command in u:
-            out.append(v)
-            v = np.exp(-d * T) * v + gain * (1.0 - np.exp(-d * T)) / d * command
-        return np.array(out)
-
-    velocity = response(1.0, 0.5, 0.1) + 0.02 * rng.standard_normal(u.size)
-    fit = tl.fit_transfer_function(u, velocity, T, order=1, noise="hac")
-    estimates = np.r_[fit.parameters["value"], fit.initial_states["velocity_0"]]
-    ends = [(estimates + s, estimates - s) for s in 1e-6 * np.diag(np.abs(estimates))]
-    J = np.column_stack([(response(*a) - response(*b)) / (a - b).sum() for a, b in ends])
-    e = velocity - response(*estimates)
-    bread = np.linalg.inv(J.T @ J)
-    meat = S_hac_simple(J * e[:, None], nlags=hac_lags([e]))
-    expected = u.size / (u.size - 3) * bread @ meat @ bread
-    np.testing.assert_allclose(fit.parameters["stderr"], np.sqrt(np.diag(expected))[:2], rtol=1e-4)
-
-
 # --- the package's own structures -----------------------------------------------------------------
 
 
@@ -243,52 +215,26 @@ def test_lanes_give_outputs_and_derivatives():
             np.testing.assert_allclose(derivative, slope, rtol=rtol, atol=2e-5)
 
 
-def test_the_three_models_are_one_simulation():
-    run = short_run()
-    at = {name: np.array([value]) for name, value in AT.items()}
-    p_h, p_r = (output.copy() for output in TSC.outputs_of(run, at))
-    human = {name.removeprefix("human_"): x for name, x in at.items() if name[:5] != "robot"}
-    human.pop("p_r0")
-    np.testing.assert_array_equal(HUMAN.outputs_of(run, human)[0], p_h)
-    driven = run.changed({"p_h": p_h[:, 0].copy()})
-    robot = {name.removeprefix("robot_"): x for name, x in at.items() if name[:5] == "robot"}
-    robot |= {"p_h_max": at["human_p_max"], "p_r0": at["p_r0"]}
-    np.testing.assert_array_equal(ROBOT.outputs_of(driven, robot)[0], p_r)
-
-
 # --- refusals -------------------------------------------------------------------------------------
 
 
-def refused(says, model=MINE, session=None, **arguments):
-    with pytest.raises(ValueError, match=says):
-        tl.fit(model, session or session_of(), **arguments)
-
-
-def test_what_makes_no_model_is_refused():
-    for says, fields in (
-        ("needs names, outputs and inputs", {"names": ()}),
-        ("simulate must be a function", {"simulate": None}),
-        ("two unknowns called 'rise'", {"names": ("rise", "rise")}),
-        ("rise needs bounds with low < high", {"low": (np.nan, 0.0, 0.0)}),
-        ("size must have 2 numbers", {"size": [1.0]}),
-        ("coordinates names 'rize'.*did you mean 'rise'", {"coordinates": {"rize": "rate"}}),
-    ):
-        with pytest.raises(ValueError, match=says):
-            replace(MINE, **fields)
-
-
-def test_what_cannot_be_fitted_is_refused():
+def test_models_that_cannot_be_made_or_fitted_are_refused():
     def short(run, **at):
         return np.ones(7)
 
     def lost(run, **at):
         return np.full(run.size, np.nan)
 
-    refused(r"must return p_r, shape \(3000,\) each, got \(7,\)", replace(MINE, simulate=short))
-    refused("not finite at rise", replace(MINE, simulate=lost))
-    refused("rise needs bounds on both sides, or a start", replace(MINE, high=(np.inf, 0.2, 1.0)))
-    refused("no column 'p_h'", replace(MINE, inputs=("mode", "p_h")))
-    refused("p_r never moves", session=session_of().with_columns(p_r=np.full(3000, 0.3)))
+    for says, fields in (
+        ("two unknowns called 'rise'", {"names": ("rise", "rise")}),
+        ("rise needs bounds with low < high", {"low": (np.nan, 0.0, 0.0)}),
+        ("coordinates names 'rize'.*did you mean 'rise'", {"coordinates": {"rize": "rate"}}),
+        (r"must return p_r, shape \(3000,\) each, got \(7,\)", {"simulate": short}),
+        ("not finite at rise", {"simulate": lost}),
+        ("rise needs bounds on both sides, or a start", {"high": (np.inf, 0.2, 1.0)}),
+    ):
+        with pytest.raises(ValueError, match=says):
+            tl.fit(replace(MINE, **fields), session_of())
 
 
 def test_an_unknown_without_effect_is_named():

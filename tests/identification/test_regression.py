@@ -82,34 +82,6 @@ def test_random_systems_agree_with_ols(seed, na, nb, nk, intercept, lengths):
     assert list(fit.names) == names + ["c"] * intercept
 
 
-def test_no_equation_crosses_from_one_run_to_the_next():
-    """Negative control: gluing the runs together gives other numbers."""
-    rng = np.random.default_rng(6)
-    runs = [random_system(rng, 2, 1, 1, 60) for _ in range(2)]
-    ys, us = [y + 5.0 * i for i, (y, _) in enumerate(runs)], [u for _, u in runs]
-    fit = arx(ys, us, 2, 1, 1, intercept=True)
-    assert_same(fit, ols(list(zip(ys, us, strict=True)), 2, 1, 1, True))
-    assert fit.residuals.size == 2 * (60 - 2)
-    glued = arx(np.concatenate(ys), np.concatenate(us), 2, 1, 1, intercept=True)
-    assert np.abs(glued.coefficients / fit.coefficients - 1.0).max() > 1e-3
-
-
-def test_runs_of_the_models_own_shape_agree_with_ols():
-    """
-    The regression of (2.3): a slow pole, a drive that switches, a constant; lags that resemble each
-    other.
-    """
-    rng = np.random.default_rng(np.random.SeedSequence(8))
-    mode = (np.arange(20000) // 2500) % 2 == 0
-    drive = mode * (0.42 + 0.003 * rng.normal(size=mode.size))
-    y = np.empty(mode.size)
-    y[0] = 0.24
-    for k in range(mode.size - 1):
-        y[k + 1] = 0.996 * y[k] + 0.004 * 0.24 + 0.0013 * drive[k]
-    y += rng.normal(0.0, 0.003, y.size)
-    assert_same(arx(y, drive, 1, 1, 1, intercept=True), ols([(y, drive)], 1, 1, 1, True))
-
-
 # --- regressors that nearly follow from one another: the branch of singular values ----------------
 
 
@@ -209,17 +181,6 @@ def test_errors_are_as_large_as_the_standard_errors_say(axis):
     # Twenty leave a root mean square of one 16 % uncertain.
     assert (np.mean(np.square(z), axis=0) ** 0.5 < 1.4).all()
     assert 0.75 < np.mean(np.square(z)) ** 0.5 < 1.25
-
-
-def test_coloured_noise_gets_wider_errors():
-    u, v = flight("z", 3)
-    rng = np.random.default_rng(4)
-    slow = np.convolve(rng.normal(0.0, 0.02, v.size), np.ones(20), mode="same")
-    fit = fit_transfer_function(u, v + slow, T, order=1)
-    white = fit_transfer_function(u, v + slow, T, order=1, noise="white")
-    assert fit.noise == "correlated"
-    assert fit.parameters["stderr"]["gain"] > 1.5 * white.parameters["stderr"]["gain"]
-    assert fit_transfer_function(u, v + rng.normal(0.0, 0.05, v.size), T, order=1).noise == "white"
 
 
 def test_first_order_does_not_fit_a_second_order_axis():

@@ -65,22 +65,6 @@ def test_every_bit_that_is_changed_is_found(entries, place, bit, tmp_path_factor
     assert read_log(path, "a").fault.startswith("rows.jsonl")
 
 
-def test_lines_taken_out_put_in_or_exchanged_are_found_by_number(tmp_path):
-    path = tmp_path / "rows.jsonl"
-    Log(path, "a").append([[k, 0.5] for k in range(5)])
-    lines = path.read_text().splitlines(keepends=True)
-    assert read_log(path, "a").fault == ""
-    assert "line 1" in read_log(path, "b").fault, "of another study or participant"
-    for number, changed in (
-        (3, lines[:2] + lines[3:]),
-        (3, [*lines[:2], lines[1], *lines[2:]]),
-        (2, [lines[0], lines[2], lines[1], *lines[3:]]),
-        (1, lines[1:]),
-    ):
-        path.write_text("".join(changed))
-        assert read_log(path, "a").fault.startswith(f"rows.jsonl, line {number}:")
-
-
 def test_a_disk_that_is_full_takes_half_a_line_back(tmp_path):
     """A limit on a file's size, as a real disk sets it: the write stops in the middle of a line."""
     path = tmp_path / "rows.jsonl"

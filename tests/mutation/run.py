@@ -30,7 +30,7 @@ MODULES = {
     "models/trust": "models/test_equations.py",
     "models/uav": "models/test_equations.py",
     "allocation/blending": "allocation/test_blending.py",
-    "allocation/estimates": "allocation/test_thresholds.py testbeds/test_ground_robot.py",
+    "allocation/estimates": "allocation/test_thresholds.py testbeds/test_conditions.py",
     "allocation/simulation": "allocation/test_rules.py allocation/test_guarantees.py",
     "allocation/correction": "allocation/test_correction.py "
     "allocation/test_correction_exhaustive.py",

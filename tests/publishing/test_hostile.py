@@ -1,91 +1,52 @@
-"""Names, logs and outputs that attack: a real browser runs nothing of them and fetches nothing.
+"""Names and logs that attack: results, reports and tables show them as words alone.
 
-Chromium is the oracle: what fires is counted by a variable of the window and by dialogs, what is
-fetched by the requests that are routed. The same markup without escaping and without a policy does
-fire.
+Oracle: the parser of the standard library, which finds the same words, no tag and no attribute of
+theirs; where they are not escaped it does.
 """
 
 import ast
 import html
-import re
-from types import SimpleNamespace
+from html.parser import HTMLParser
 
-import networkx as nx
 import numpy as np
 import pandas as pd
 import pytest
-from nbformat.v4 import new_code_cell
 
 import trustlab as tl
-from tests.publishing.world import ROOT, chromium, make, publish, write_book
+from tests.publishing.world import ROOT
 from trustlab.models.display import as_html
 from trustlab.publishing.tables import table_html
-from trustlab.teleoperation import TeamTrial
 
-FIRE = "window.top.fired=(window.top.fired||0)+1"
-AWAY = "https://attacker.invalid/"
-ATTACKS = {
-    "image": f'<img src=x onerror="{FIRE}">',
-    "comment": f'<!--><img src=x onerror="{FIRE}">-->',
-    "script": f"</script></style></title></textarea><script>{FIRE}</script>",
-    "form": f'<form action="{AWAY}form"><button id=go>go</button></form>',
-    "formaction": f'<form><button id=go formaction="{AWAY}formaction">go</button></form>',
-    "link": f'<a id=go href="java&#9;script:{FIRE}">go</a>',
-    "refresh": f'<meta http-equiv="Refresh" content="0; url={AWAY}refresh">',
-    "image set": f"<p style=\"background: image-set('{AWAY}set.png' 1x)\">",
-    "escaped url": rf"<p style='background: u\72l({AWAY}url.png)'>",
-    "style in a picture": f'<svg><style><img src=x onerror="{FIRE}"></style></svg>',
-    "preconnect": f'<link rel=stylesheet href="{AWAY}a.css">',
-    "base": f'<base href="{AWAY}"><img src=b.png>',
-    "frame": f'<iframe srcdoc="<script>{FIRE}</script>"></iframe>',
-    "handler": f'" onfocus="{FIRE}" autofocus tabindex="1" x="',
-    "comment and script": f"<!--<script>{FIRE}",
-    "template": "$DATA $TITLE {{ 7 * 7 }} $\\nosuch{x}$",
-}
-NAME = " ".join(ATTACKS.values())
+ATTACKS = [
+    '<img src=x onerror="fire()">',
+    "<!--><img src=x onerror='fire()'>-->",
+    "</script></style></title></textarea><script>fire()</script>",
+    '<a href="java&#9;script:fire()">go</a>',
+    '" onfocus="fire()" autofocus tabindex="1" x="',
+    "<!--<script>fire()",
+]
+NAME = " ".join(ATTACKS)
 
 
-@pytest.fixture(scope="module")
-def browser():
-    yield from chromium()
+class Markup(HTMLParser):
+    """Tags, attributes and words of a page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.parts, self.words = set(), ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.parts |= {tag, *(name for name, _ in attrs)}
+
+    def handle_comment(self, data):
+        self.parts.add("comment")
+
+    def handle_data(self, data):
+        self.words += data
 
 
-@pytest.fixture(scope="module")
-def visit(browser):
-    """
-    Return a function that shows a page in Chromium, presses what can be pressed, and tells what
-    fired and was fetched.
-    """
-    page = browser.new_page()
-    asked, dialogs = [], []
-    # "No content" leaves the page where it is, so that what came of a press can be read.
-    page.route("**/*", lambda route: (asked.append(route.request.url), route.fulfill(status=204)))
-    page.on("dialog", lambda dialog: (dialogs.append(dialog.message), dialog.dismiss()))
-
-    def visit(text):
-        page.goto("about:blank")
-        asked.clear(), dialogs.clear()
-        page.evaluate("window.fired = 0")
-        page.set_content(text, wait_until="load")
-        page.evaluate("document.querySelectorAll('#go').forEach(one => one.click())")
-        page.wait_for_timeout(30)
-        fired = page.evaluate("window.fired")
-        return SimpleNamespace(fired=fired, asked=[*asked], dialogs=[*dialogs], page=page)
-
-    return visit
-
-
-def unescaped(text):
-    """The same page with its words as markup; what loads another page would end the walk."""
-    return html.unescape(text).replace(ATTACKS["refresh"], "")
-
-
-def unmoved(seen):
-    return not seen.fired and not seen.asked and not seen.dialogs
-
-
-# results
-# --------------------------------------------------------------------------------------------------
+HOSTILE = {"img", "script", "a", "comment", "onerror", "onfocus", "autofocus"}
 
 
 def scores():
@@ -97,47 +58,31 @@ def scores():
     return frame
 
 
-class Policy:
-    title = NAME
-
-    def leader(self, now):
-        return 0
-
-
-def team():
-    graph = nx.relabel_nodes(nx.complete_graph(3), {i: f"{NAME} {i}" for i in range(3)})
-    return tl.simulate_team(graph, policy=Policy(), duration=6.0, trial=TeamTrial(0.01))
+def table():
+    frame = pd.DataFrame({NAME: [NAME], "n": [1.5]}, index=pd.Index([NAME], name=NAME))
+    frame.columns.name = NAME
+    return frame
 
 
-def session():
-    data = pd.DataFrame({"p_r": 0.5}, index=pd.Index(np.arange(40) * 0.1, name="t"))
-    return tl.Session(data, tl.Metadata(NAME, NAME, NAME, False, {"trial": NAME, "note": NAME}))
+def report():
+    return tl.report(scores(), **dict(zip(("subject", "within", "dv"), scores(), strict=True)))
 
 
-RESULTS = {
-    "all parts": lambda: as_html(NAME, scores(), scores().T.set_index(0), title=NAME),
-    "session": lambda: session()._repr_html_(),
-    "team": lambda: team()._repr_html_(),
-    "report": lambda: tl.report(
-        scores(), **dict(zip(("subject", "within", "dv"), scores(), strict=True))
-    )._repr_html_(),
-}
-
-
-@pytest.mark.parametrize("name", RESULTS)
-def test_results_show_hostile_names_as_words(visit, name):
-    text = RESULTS[name]()
-    seen = visit(text)
-    assert unmoved(seen), seen
-    found = seen.page.evaluate(
-        "document.querySelectorAll('img, script, form, button, meta, link, base, svg').length"
-    )
-    assert found == 0
-    assert "onerror" in seen.page.evaluate("document.body.textContent")
-    # Negative control: the same words fire where nothing is escaped.
-    seen = visit(unescaped(text))
-    assert seen.fired
-    assert seen.asked
+@pytest.mark.parametrize(
+    "show",
+    [
+        lambda: as_html(NAME, scores(), scores().T.set_index(0), title=NAME),
+        lambda: report()._repr_html_(),
+        lambda: table_html(table()),
+    ],
+    ids=["result", "report", "table"],
+)
+def test_hostile_names_are_words(show):
+    text = show()
+    page = Markup(text)
+    assert NAME in page.words
+    assert page.parts & HOSTILE == set()
+    assert Markup(html.unescape(text)).parts & HOSTILE  # negative control
 
 
 def returned_calls(function):
@@ -157,27 +102,3 @@ def test_every_result_is_shown_by_what_escapes():
     }
     assert len(shown) >= 5
     assert {stem for stem, call in shown if call != "as_html"} <= {"report"}
-
-
-# reports
-# --------------------------------------------------------------------------------------------------
-
-
-def test_a_table_shows_hostile_names_as_words(visit):
-    frame = pd.DataFrame({NAME: [NAME], "n": [1.5]}, index=pd.Index([NAME], name=NAME))
-    frame.columns.name = NAME
-    seen = visit(table_html(frame))
-    assert unmoved(seen), seen
-    assert visit(unescaped(table_html(frame))).fired
-
-
-def test_a_report_shows_what_a_cell_prints_as_words(visit, tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    cell = new_code_cell(f"name = {NAME!r}\nprint(name)\nname")
-    root = make(tmp_path, n01_a=["# A", cell])
-    publish(root)
-    assert write_book(root).returncode == 0
-    page = (root / "reports" / "01_a.html").read_text()
-    body = re.sub(r"<script[^>]*>.*?</script>|<link[^>]*>", "", page, flags=re.S)
-    assert "attacker.invalid" in body
-    assert visit(body).fired == 0

@@ -16,7 +16,6 @@ from nbformat.v4 import new_code_cell
 
 from tests.publishing.world import (
     ROOT,
-    chromium,
     faults,
     make,
     pages,
@@ -28,6 +27,7 @@ from tests.publishing.world import (
 )
 from trustlab.publishing.run import CellError, execute
 
+ATTACK = '<img src="https://attacker.invalid/" onerror="fire()">'
 GOOD = [
     "# A good one\n\nIt shows $\\overline{P}_h$, and succeeds as in (2.3) and in report “plain”. "
     "See Table 01-1.",
@@ -51,6 +51,7 @@ GOOD = [
     ),
     new_code_cell("caption(pd.DataFrame({'x': [1, 2]}), 'What *x* is.', synthetic=True)"),
     new_code_cell("import pathlib\nprint('data at', pathlib.Path.cwd().parent / 'data')"),
+    new_code_cell(f"name = {ATTACK!r}\nprint(name)\nname"),
     tagged("Markdown('**It holds.** By (2.8).')", "hide", "answer"),
 ]
 ABSENT = [
@@ -93,11 +94,6 @@ def world(tmp_path_factory):
     return root, done
 
 
-@pytest.fixture(scope="module")
-def browser():
-    yield from chromium()
-
-
 def html(root, name):
     return (root / "reports" / f"{name}.html").read_text(encoding="utf-8")
 
@@ -107,6 +103,8 @@ def test_a_report_has_its_answer_figures_tables_and_origin(world):
     text = html(root, "01_good")
     assert "01_good … run in " in done.stdout
     assert "seed is 5" in text
+    assert text.count("attacker.invalid") == 3  # the cell, what it prints, and its value
+    assert ATTACK not in text
     assert text.index("It holds.") < text.index("seed is 5")
     assert text.count("It holds.") == 1
     assert len(re.findall('<img[^>]* alt="Synthetic data: made up. Figure', text)) == 2

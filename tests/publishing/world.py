@@ -91,9 +91,6 @@ def write_book(root):
 # --- a walk ---------------------------------------------------------------------------------------
 
 
-BROWSER = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
 ELSEWHERE = ("http:", "https:", "mailto:", "data:", "javascript:")
 WIDTHS = (1280, 1440, 390)
 PAPER = 718  # width of A4 within margins of 1 cm [px]
@@ -209,16 +206,3 @@ def walked(browser, paths, widths=WIDTHS):
         found += [f"{path.name}: cut in print: {words}" for words in tab.evaluate(CUT_IN_PRINT)]
     tab.close()
     return found
-
-
-def chromium():
-    """Yield a browser, or skip the test where there is none."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if BROWSER is None:
-        pytest.skip("needs Chromium: apt-get install chromium")
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=BROWSER, args=["--no-sandbox", "--disable-gpu"]
-        )
-        yield browser
-        browser.close()

@@ -93,7 +93,7 @@ def made_up(printed_at):
     priors = {"attention_cost": (0.0, 0.3), "trust_bias": (-0.4, 0.4)}
     table = pd.DataFrame({name: rng.uniform(*ends, 600) for name, ends in priors.items()})
     away = table - pd.Series(TRUE)
-    for effect in observed_effects("table_2.5"):
+    for effect in observed_effects("table_2.5").itertuples():
         slopes = (1.0, 0.5) if effect.measure == "p_r" else (0.0, 1.0)
         lift = printed_at.get(effect.measure, 0.0) + effect.printed
         table[effect.id] = lift + away.to_numpy() @ slopes + rng.normal(0.0, 0.02, 600)

@@ -27,7 +27,8 @@ def stored(request):
 def test_intervals_cover_simulated_studies(stored, measures):
     """Leave-one-out over all stored studies: within 92 to 98 % and 45 to 55 %, each assumption."""
     calibration = stored if measures == "all" else stored.within_reach()
-    chosen = [e.id for e in calibration.observed if e.measure in calibration.measures]
+    observed = calibration.observed
+    chosen = list(observed.loc[observed["measure"].isin(calibration.measures), "id"])
     drawn, effects = stored.simulations[list(stored.priors)], stored.simulations[chosen].to_numpy()
     places = []
     for i in range(len(drawn)):
@@ -44,7 +45,8 @@ def test_intervals_cover_simulated_studies(stored, measures):
 def test_intervals_cover_fresh_truths(stored, measures):
     """50 studies that are not stored, under assumptions drawn anew; pooled over assumptions."""
     calibration = stored if measures == "all" else stored.within_reach()
-    chosen = [e.id for e in calibration.observed if e.measure in calibration.measures]
+    observed = calibration.observed
+    chosen = list(observed.loc[observed["measure"].isin(calibration.measures), "id"])
     table, names = calibration.simulations, list(calibration.priors)
     places = []
     seeds = np.random.SeedSequence(2026).spawn(50)
@@ -80,5 +82,8 @@ def test_reports_of_the_stored_calibration(stored):
     checks = stored.given("p_r", "r").checks(studies=4)
     assert set(checks["id"]) <= set(tl.printed_effects()["id"])
     assert (checks["low"] <= checks["high"]).all()
+    # As the stored table of checks is made: with decisions that are free.
+    free = stored.checks(2, people=stored.posterior.assign(attention_cost=0.0))
+    assert free[["id", "prior_low"]].equals(stored.checks(2)[["id", "prior_low"]])
     assert stored.reach()["share"].between(0.0, 1.0).all()
     assert "simulated operators" in stored._repr_html_()

@@ -9,24 +9,12 @@ import types
 from collections import defaultdict
 from types import SimpleNamespace
 
-import numpy as np
 from rosbags.typesys import Stores, get_typestore
+
+from tests.sessions.logs import message
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 PACKAGES = ("std_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs")
-
-
-def default(kind):
-    """A message of zeros and empty texts."""
-    values = {}
-    for name, (node, detail) in STORE.fielddefs[kind][1]:
-        if node.name == "NAME":
-            values[name] = default(detail)
-        elif node.name == "BASE":
-            values[name] = {"string": "", "bool": False}.get(detail[0], 0)
-        else:
-            values[name] = np.zeros(detail[1] if node.name == "ARRAY" else 0)
-    return STORE.types[kind](**values)
 
 
 class Kind:
@@ -34,14 +22,14 @@ class Kind:
         self.name = name
 
     def __call__(self, **values):
-        message = default(self.name)
+        made = message(STORE, self.name)
         for name, value in values.items():
-            setattr(message, name, value)
-        return message
+            setattr(made, name, value)
+        return made
 
 
-def serialize(message):
-    return bytes(STORE.serialize_cdr(message, message.__msgtype__))
+def serialize(made):
+    return bytes(STORE.serialize_cdr(made, made.__msgtype__))
 
 
 def install(monkeypatch):
@@ -108,16 +96,16 @@ class Node:
 
     def send(self, topic, kind, stamp=None, **values):
         """Deliver a message; values by dotted field path, with __ for the dots."""
-        message = default(kind)
+        made = message(STORE, kind)
         for path, value in values.items():
-            part = message
+            part = made
             *steps, name = path.split("__")
             for step in steps:
                 part = getattr(part, step)
             setattr(part, name, value)
         if stamp is not None:
-            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
-        self.heard[topic](serialize(message))
+            made.header.stamp.sec, made.header.stamp.nanosec = divmod(stamp, 10**9)
+        self.heard[topic](serialize(made))
 
     def tick(self):
         for callback in self.timers:

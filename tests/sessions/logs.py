@@ -29,6 +29,25 @@ def stamped(stamp: int) -> dict:
     return {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}}
 
 
+def message(store, kind: str, values=None):
+    """Return a message of these values, dictionaries within; what is left out is zero or empty."""
+    values, content = values or {}, {}
+    for name, (node, detail) in store.fielddefs[kind][1]:
+        value = values.get(name)
+        if node == Nodetype.NAME:
+            value = message(store, detail, value)
+        elif node == Nodetype.ARRAY:
+            value = np.zeros(detail[1])
+        elif node == Nodetype.SEQUENCE and detail[0][0] == Nodetype.NAME:
+            value = [message(store, detail[0][1], each) for each in value or []]
+        elif node == Nodetype.SEQUENCE and value is None:
+            value = np.zeros(0)
+        elif value is None:
+            value = {"string": "", "bool": False}.get(detail[0], 0)
+        content[name] = value
+    return store.types[kind](**content)
+
+
 class Bag:
     """Messages by topic, for a ROS 1 bag (.bag), an .mcap file or a rosbag2 folder."""
 
@@ -37,27 +56,9 @@ class Bag:
         self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
         self.entries = []
 
-    def make(self, kind: str, values: dict):
-        """Return a message of these values, dictionaries within; what is left out is zero."""
-        content = {}
-        for name, (node, detail) in self.store.fielddefs[kind][1]:
-            value = values.get(name)
-            if node == Nodetype.NAME:
-                value = self.make(detail, value or {})
-            elif node == Nodetype.ARRAY:
-                value = np.zeros(detail[1])
-            elif node == Nodetype.SEQUENCE and detail[0][0] == Nodetype.NAME:
-                value = [self.make(detail[0][1], each) for each in value]
-            elif node == Nodetype.SEQUENCE and value is None:
-                value = np.zeros(0)
-            elif value is None:
-                value = "" if detail[0] == "string" else 0
-            content[name] = value
-        return self.store.types[kind](**content)
-
     def add(self, topic: str, seconds: float, kind: str, **values) -> None:
         stamp = START + round(seconds * 1e9)
-        self.entries.append((topic, stamp, kind, self.make(kind, values)))
+        self.entries.append((topic, stamp, kind, message(self.store, kind, values)))
 
     def write(self):
         """Write the bag; return its path."""

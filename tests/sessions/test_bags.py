@@ -211,10 +211,6 @@ def test_topics_that_cannot_be_used(tmp_path):
         read_session(path, bag_recipe(late))
     with pytest.raises(SessionError, match="'/two' has messages of two types"):
         read_session(path, bag_recipe(ERROR.replace("/e", "/two")))
-    recipe = bag_recipe(ERROR + "beta = { value = 0.5 }\n")
-    with pytest.raises(SessionError, match="none of the columns to read comes from a topic"):
-        read_session(path, recipe, columns=["beta"])
-    assert read_session(path, recipe)["beta"].tolist() == [0.5] * 3
 
 
 def test_missing_pages_of_a_database_would_read_as_zeros(tmp_path, monkeypatch):

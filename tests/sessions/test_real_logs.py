@@ -1,30 +1,26 @@
 """
-Real logs, where they are: the shared-control study of Pan et al. (2024), logs that others
-published; and the synthetic ones that come with the package.
+Real logs, where they are: the shared-control study of Pan et al. (2024); and the synthetic ones
+that come with the package.
 
-Oracles: headers and measures of the study's own; each format's own library, or pandas; what is
-known of the robots; the script that makes the synthetic sessions.
+Oracles: measures of the study's own, what is known of its robot; the script that makes the
+synthetic sessions.
 """
 
-import hashlib
-import importlib.util
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from rosbags.highlevel import AnyReader
 
 import trustlab as tl
+from data.sessions import make_sessions
 from trustlab.sessions import (
     SessionError,
     external_data,
-    read_session,
     read_sessions,
     tracking_error,
 )
-from trustlab.sessions.recipe import Recipe
 
 # --- Pan et al. (2024) ----------------------------------------------------------------------------
 
@@ -72,23 +68,6 @@ def test_the_robot_followed_the_mixture(sessions):
 
 
 @NEEDED
-def test_each_block_has_one_autonomy_level(sessions):
-    frame = pd.DataFrame([s.metadata.as_dict() for s in sessions])
-    assert (frame.groupby(["participant", "block"])["autonomy"].agg(np.ptp) == 0).all()
-    later = frame[~frame["training"]].drop_duplicates(["participant", "block"])
-    assert (later.groupby("participant")["autonomy"].nunique() == 5).all()
-
-
-@NEEDED
-def test_mean_errors_against_the_header(sessions):
-    for session in sessions:
-        folder = Path(session.metadata.source).parent
-        header = pd.read_csv(folder / f"{folder.name}_header.csv").set_index("trial_number")
-        printed = header.loc[session.metadata.more["trial"], "overall_ave"]
-        assert session["path_error"].mean() == pytest.approx(printed, rel=1e-9)
-
-
-@NEEDED
 def test_tracking_errors_are_the_published_ones(sessions):
     published = pd.read_csv(DATA / "measures" / "traj_err_all_levels.csv")
     both = tracking_error(sessions).merge(
@@ -107,73 +86,6 @@ def test_a_participant_who_was_replaced_is_not_known(tmp_path):
         read_sessions(tmp_path, recipe="autonomy_cl_trust")
 
 
-# --- public logs ----------------------------------------------------------------------------------
-
-
-# ROS 1: an operator leads a turtle through turtlesim, and another follows it on /tf (the tutorial
-# of tf, recorded in 2014).
-TURTLES = """
-kind = "bag"
-[resampling]
-method = "linear"
-sample_time = 0.05
-[columns]
-mode = { value = 0 }
-robot_x = { topic = "/turtle2/pose", field = "x", unit = "m" }
-robot_y = { topic = "/turtle2/pose", field = "y", unit = "m" }
-yaw = { topic = "/turtle2/pose", field = "theta", unit = "rad" }
-v_command = { topic = "/turtle1/cmd_vel", field = "linear.x", unit = "m/s", hold = true }
-w_command = { topic = "/turtle1/cmd_vel", field = "angular.z", unit = "rad/s", hold = true }
-path_error = { distance = ["robot", "human"], axes = ["x", "y"] }
-step_distance = { travelled = "robot", axes = ["x", "y"] }
-[columns.human_x]
-topic = "/tf"
-field = 'transforms[child_frame_id="turtle1"].transform.translation.x'
-unit = "m"
-[columns.human_y]
-topic = "/tf"
-field = 'transforms[child_frame_id="turtle1"].transform.translation.y'
-unit = "m"
-"""
-# By name: the SHA-256 and our recipe.
-LOGS = {
-    # https://github.com/facontidavide/PlotJuggler at ddcbd05b: datasamples/example.bag; MPL-2.0.
-    "example.bag": (
-        "6f8b495a7215a03099836955e1ffbf80f2abaff7f8bd65a1bdf9e52c809cef5d",
-        TURTLES,
-    ),
-}
-
-
-def public(name):
-    """
-    Return the path of a log and its recipe; skip where it is absent, fail where it is another file.
-    """
-    (digest, recipe), folder = LOGS[name], external_data("public_logs")
-    if folder is None or not (folder / name).is_file():
-        pytest.skip(f"needs public logs, listed with sources in {Path(__file__).name}")
-    assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
-    return folder / name, Recipe.from_toml(recipe)
-
-
-def test_a_turtle_that_follows_another():
-    path, recipe = public("example.bag")
-    session = read_session(path, recipe=recipe)
-    times, heights = [], []
-    with AnyReader([path]) as reader:
-        for connection, stamp, data in reader.messages():
-            if connection.topic == "/turtle2/pose":
-                times.append(stamp / 1e9 - session.metadata.more["start_time"])
-                heights.append(reader.deserialize(data, connection.msgtype).y)
-    np.testing.assert_allclose(session["robot_y"], np.interp(session.t, times, heights), atol=1e-5)
-    notes = session.metadata.more
-    assert notes['selected /tf[child_frame_id="turtle1"]'] == "1344 of 2688 messages have the entry"
-    # The window of turtlesim is 11.1 m wide.
-    places = session.data[["robot_x", "robot_y", "human_x", "human_y"]].to_numpy()
-    assert places.min() >= 0.0
-    assert places.max() < 11.1
-
-
 # --- synthetic sessions ---------------------------------------------------------------------------
 
 
@@ -182,11 +94,8 @@ FOLDER = Path(__file__).parents[2] / "data" / "sessions"
 
 @pytest.fixture(scope="module")
 def fresh(tmp_path_factory):
-    spec = importlib.util.spec_from_file_location("make_sessions", FOLDER / "make_sessions.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
     folder = tmp_path_factory.mktemp("sessions")
-    module.main(folder)
+    make_sessions.main(folder)
     return folder
 
 

@@ -19,7 +19,6 @@ from trustlab.sessions import (
     read_frame,
     read_session,
 )
-from trustlab.sessions.patterns import PathPattern, natural_key
 from trustlab.sessions.recipe import Recipe
 
 # --- rules ----------------------------------------------------------------------------------------
@@ -134,12 +133,6 @@ participant = { from = "participant" }"""
     assert read_frame(frame.rename(columns={"a": "p_r"}), participant=3).label == "participant 3"
 
 
-def test_an_analogue_channel_is_divided_in_two(read):
-    text = '[columns]\nmode = { column = "pedal", above = 2.5 }'
-    session = read("t,pedal\n0,0.1\n1,2.5\n2,2.6\n", text)
-    assert session["mode"].tolist() == [0, 0, 1]
-
-
 @pytest.mark.parametrize("name", ["mode", "suggested_mode", "yaw"])
 def test_states_and_angles_are_not_interpolated_over_blanks(read, name):
     unit = ', unit = "deg"' if name == "yaw" else ""
@@ -148,19 +141,6 @@ def test_states_and_angles_are_not_interpolated_over_blanks(read, name):
         table_recipe(rule)
     held = read("t,a\n0,1\n1,\n2,0\n", rule.replace("linear", "hold"))[name]
     assert held[1] == held[0] > held[2]
-
-
-def test_patterns():
-    pattern = PathPattern("p{who:int}/{name}_run{trial:int}*.csv")
-    match = pattern.match("/data/p07/anna_run12_final.csv")
-    assert (match.base, dict(match.fields)) == ("/data", {"who": 7, "name": "anna", "trial": 12})
-    assert match.texts["who"] == "07"
-    level = PathPattern("a{level:float}.csv").match("/x/a-0.5.csv")
-    assert (level.base, level.fields) == ("/x", {"level": -0.5})
-    assert PathPattern("p{who}/p{who}.csv").match("p1/p2.csv") is None
-    assert PathPattern("a.csv").match("x/abcsv") is None
-    values = ["b", 10, "a10", "a2", 2, None]
-    assert sorted(values, key=natural_key) == [2, 10, "a2", "a10", "b", None]
 
 
 # --- drafts ---------------------------------------------------------------------------------------

@@ -142,45 +142,6 @@ def test_blanks_are_filled_as_pandas_fills_them(cells, row):
     assert note.startswith(f"{cut} ")
 
 
-@given(steps=st.lists(st.sampled_from([1, 1, 2, -5]), min_size=4, max_size=12), data=st.data())
-@pytest.mark.parametrize("way", ["sort", "jumps"])
-def test_blanks_lie_on_a_line_between_neighbours_in_time_and_of_their_session(
-    tmp_path_factory, way, steps, data
-):
-    """Values are their times, so that a line keeps them; each session begins at another value."""
-    t = np.cumsum([0, *steps])
-    if way == "sort":  # no two are the same
-        t = np.argsort(np.argsort(t, kind="stable"))
-    session = np.cumsum(np.diff(t, prepend=0) < 0) * (way == "jumps")
-    values = t + 100.0 * session
-    blank = data.draw(st.lists(st.booleans(), min_size=t.size, max_size=t.size))
-    frame = pd.DataFrame({"t": t, "a": np.where(blank, np.nan, values)})
-    folder = tmp_path_factory.mktemp("blanks")
-    frame.to_csv(folder / "run.csv", index=False)
-    rule = {"sort": "sort = true", "jumps": 'jumps = "split"'}[way]
-    recipe = table_recipe(
-        f'[files]\npattern = "run.csv"\n[time]\nunit = "s"\n{rule}\n'
-        + RESAMPLED.format("linear", 1.0)
-        + '[columns]\npath_error = { column = "a", blank = "linear", unit = "m" }\n'
-    )
-    known = frame.assign(session=session).dropna().groupby("session")["t"]
-    ends = known.agg(["min", "max"]).to_numpy()
-    hidden = len(ends) <= session.max() or (ends[1:, 0] >= ends[:-1, 1]).any()
-    if frame["a"].isna().all() or hidden or not (np.ptp(ends, axis=1) > 0).any():
-        with pytest.raises(
-            SessionError, match=r"missing|fill these cells|no part has two|1 samples"
-        ):
-            read_sessions(folder, recipe)
-        return
-    sessions = read_sessions(folder, recipe)
-    expected = [tuple(pair) for pair in ends if pair[0] < pair[1]]
-    assert [(each.t[0], each.t[-1]) for each in sessions] == expected
-    for each in sessions:
-        (start,) = {round(value) for value in each["path_error"] - each.t}
-        assert start % 100 == 0
-        np.testing.assert_allclose(each["path_error"], each.t + start, atol=1e-9)
-
-
 @pytest.mark.parametrize("blank", ["hold", "linear"])
 def test_blanks_at_the_edge_of_a_session_are_cut_and_not_filled_from_the_next(tmp_path, blank):
     """They were held across the jump, or refused with the remedy that the recipe had taken."""

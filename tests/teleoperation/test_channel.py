@@ -11,7 +11,6 @@ from tests.loops import jitter, random_signals
 from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.delays import (
     Delay,
-    delays_in_samples,
     packet_delay,
     random_walk_delay,
 )
@@ -113,7 +112,8 @@ def test_waves_are_those_of_3_13_and_4_7():
 def test_constant_delay_of_whole_samples_shifts_the_waves(read_out):
     r_m, f_s = np.random.default_rng(7).normal(size=(2, N, 3))
     channel = Scattering(1.5, 0.2, 0.9, 0.1, 0.7)
-    run = channel_run(r_m, f_s, channel, T, 0.05, 0.12, read_out=read_out)
+    late = {"delay_1": 0.05, "delay_2": lambda t: 0.12 + 0.0 * t}  # a number, and a function
+    run = channel_run(r_m, f_s, channel, T, **late, read_out=read_out)
     np.testing.assert_allclose(run.v_r[5:], run.u_l[:-5], rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(run.v_l[12:], run.u_r[:-12], rtol=1e-12, atol=1e-12)
     assert not run.v_r[:5].any()
@@ -196,33 +196,6 @@ def test_ends_may_switch_at_other_times(same_bounds):
         assert run.energy.min() >= -1e-12 * exchanged(run).max()
 
 
-def absorbed(near, far, beta, b=2.0, late=20):
-    """
-    A robot that takes all that arrives, f_s = √(b/2) v_r, so that nothing comes back: power out is
-    ½‖v_r‖².
-    """
-    r_m = np.random.default_rng(76).normal(size=(N, 3))
-    ends = [Scattering(b, beta_min=low, beta_max=high) for low, high in ((1.0, 2.0), (0.05, 0.1))]
-    v_r = np.vstack([np.zeros((late, 3)), np.sqrt(2.0 * b * ends[near].beta_min) * r_m[:-late]])
-    leaders = np.repeat([[near], [far]], N, axis=1)
-    f_s = np.sqrt(0.5 * b) * v_r
-    return channel_run(r_m, f_s, ends, T, late * T, late * T, beta=beta, leaders=leaders)
-
-
-def test_bounds_not_switched_with_the_leader_give_energy():
-    """
-    Negative control: β of the new leader, but the end of the channel still set for the old one's
-    bounds.
-    """
-    right, wrong = absorbed(1, 1, 0.05), absorbed(0, 1, 0.05)
-    assert right.energy.min() >= -1e-12 * exchanged(right).max()
-    # closed form: β b ‖r_m‖² goes in and β_min b ‖r_m‖² comes out, with β_min that of the wrong
-    # robot
-    given = T * (0.05 * 2.0 * (wrong.r_m**2).sum() - 1.0 * 2.0 * (wrong.r_m[:-20] ** 2).sum())
-    assert wrong.energy[-1] == pytest.approx(given, rel=1e-9)
-    assert given < -0.5 * exchanged(wrong)[-1]
-
-
 # Ledgers and delays
 
 
@@ -231,21 +204,14 @@ def test_bounds_not_switched_with_the_leader_give_energy():
 def test_a_ledger_never_gives_more_than_it_got(events):
     ledger, sent = EnergyLedger(T), {}
     for number, value, read in events:
-        ledger.receive(number, [value])
+        assert ledger.receive(number, [value]) == (number not in sent)
         sent.setdefault(number, value)
         if read:
             ledger.read()
+        # A packet counts once, and also when a later one has come before it.
+        assert ledger.received == pytest.approx(T * sum(v * v for v in sent.values()))
         assert ledger.given <= T * sum(v * v for v in sent.values()) * (1 + 1e-12) + 1e-15
         assert ledger.balance >= 0.0
-
-
-def test_a_ledger_books_a_packet_once():
-    ledger = EnergyLedger(T)
-    assert ledger.receive(3, [1.0, 0.0])
-    assert not ledger.receive(3, [9.0, 9.0])
-    assert ledger.receive(1, [5.0, 0.0])  # late: its energy counts, its wave is old
-    assert ledger.read().tolist() == [1.0, 0.0]
-    assert ledger.received == pytest.approx(T * 26.0)
 
 
 def test_a_trace_of_packets_is_read_at_the_newest_that_arrived():
@@ -266,10 +232,3 @@ def test_random_walk_keeps_bounds_rate_and_seed():
     assert 0.05 <= values.min() <= values.max() <= 0.8
     assert 0.5 < (np.diff(values) / T).max() <= 0.6 + 1e-9
     np.testing.assert_array_equal(values, again)
-
-
-def test_numbers_and_functions_as_delays():
-    pair = {"delay_1": lambda t: 0.1 + 0.05 * np.sin(t), "delay_2": 0.3}
-    delays = delays_in_samples(pair, 0.05, 50, T)
-    np.testing.assert_allclose(delays[0], 10.0 + 5.0 * np.sin(T * np.arange(50)))
-    np.testing.assert_array_equal(delays[1], 30.0)

@@ -60,7 +60,6 @@ def test_leaders_stay_for_the_minimum(seed, name, dwell, robots):
         (GivenSequence(["c", "a"], times=[0.0, 0.45]), NOTHING, 0.2, [2] * 5 + [0] * 5),
         (GivenSequence(["a", "c"]), NOTHING, 0.15, [0, 0, 0, 2, 2, 2, 0, 0, 0, 2]),
         (GivenSequence(), NOTHING, 0.1, [0, 0, 1, 1, 2, 2, 0, 0, 1, 1]),
-        (GivenSequence(iter(["b"])), NOTHING, 0.1, [1] * 10),
     ],
 )
 def test_policies_by_hand(policy, trust, dwell, leaders):
@@ -73,13 +72,5 @@ def test_random_leaders_reach_everyone():
     assert (np.diff(chosen) != 0).all()  # another robot each time
 
 
-def test_a_sequence_of_names_that_are_tuples():
+def test_names_may_be_tuples():
     assert GivenSequence([(0, 0), (0, 1)], times=[0.0, 5.0]).robots == ((0, 0), (0, 1))
-    for arguments, says in (
-        ({"robots": 5}, "must be a list of names"),
-        ({"robots": "ab"}, "must be a list of names"),
-        ({"times": [0.0]}, "times need robots"),
-        ({"robots": ["a"], "times": [0.0, 1.0]}, "times must have 1 samples"),
-    ):
-        with pytest.raises(ValueError, match=says):
-            GivenSequence(**arguments)

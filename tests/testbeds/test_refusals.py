@@ -1,6 +1,6 @@
 """
-What simulated tasks refuse: arguments that do not go together.
-What tests/test_contract.py puts into every argument is not tried here again.
+What the parts of a teleoperation loop and simulated tasks refuse: arguments that do not go
+together. What tests/test_contract.py puts into every argument is not tried here again.
 """
 
 from dataclasses import replace
@@ -11,84 +11,78 @@ import pytest
 
 import trustlab as tl
 from tests.loops import simulate_team
-from trustlab.teleoperation import STUDIES, PassivityError, packet_delay
+from trustlab.teleoperation import STUDIES, GivenSequence, packet_delay
+from trustlab.teleoperation.channel import channel_run
+from trustlab.teleoperation.delays import Delay
+from trustlab.teleoperation.filters import TwoPortFilter, passivity_margin
 from trustlab.testbeds import published_operator
 
+ONES = np.ones((50, 1))
 PATH = nx.path_graph(3)
 UNIT, NONE = np.eye(6), np.zeros((6, 3))
 
 
-def endless(k):
-    """Decisions of one sample alone, which are infinite."""
-    alpha = np.full(12000, np.nan)
-    alpha[k] = np.inf
-    return alpha
+def fly(**arguments):
+    return tl.simulate_teleoperation(**{"duration": 5.0} | arguments)
 
 
-@pytest.mark.parametrize(
-    ("graph", "options", "words"),
-    [
-        (nx.Graph([("a", "b"), ("c", "d")]), {}, r"parts are \['a', 'b'\]; \['c', 'd'\]"),
-        ({0.0: PATH, 5.0: nx.empty_graph(3)}, {}, r"from t = 5 s on: .*parts are \[0\]; \[1\]"),
-        (nx.MultiGraph([(0, 1), (0, 1)]), {}, "parallel edges"),
-        (nx.DiGraph([(0, 1), (0, 2)]), {}, "it has no spanning tree"),
-        (np.array([[0.0, -1.0], [-1.0, 0.0]]), {}, "from 0 to 1 it is -1.0"),
-        ({0.0: PATH, -1.0: PATH}, {}, "must be 0 and others after 0"),
-        (PATH, {"delay": (0.2, 1e9)}, "longer than the run"),
-        (PATH, {"start": np.zeros((5, 3))}, "start must have shape"),
-        (PATH, {"record_every": 0.0015}, "must be a multiple of sample_time"),
-        (PATH, {"delay": 0.5, "min_dwell": 0.2}, "must be greater than the delay"),
-    ],
-)
-def test_teams(graph, options, words):
+def late_from(start):
+    """A trace of two packets as the delay to the robot."""
+    return packet_delay([start, start + 0.1], [start + 0.1, start + 0.2]), 0.1
+
+
+REFUSED = [
+    (lambda: tl.Scattering(1.0, alpha_min=0.9, alpha_max=0.3), "must not exceed alpha_max"),
+    (lambda: channel_run(ONES, ONES, tl.Scattering(1.0), 0.01, alpha=1.5), "alpha must lie in"),
+    (
+        lambda: Delay(lambda t: 0.1 - t, 0.1, "this delay").samples(50, 0.01),
+        r"0 s at t = 0\.1 s: it must be at least one sample",
+    ),
+    (lambda: packet_delay([0.0, 0.1], [0.1, 0.05]).samples(7, 0.1), "packet 1, sent at t = 0.1"),
+    (lambda: TwoPortFilter(1.0, 0.2, 1.0), r"k_12 k_21 = 0\.2"),
+    (lambda: passivity_margin([1.0], [1.0, -1.0]), "stable"),
+    (lambda: passivity_margin([1.0, 0.0, 0.0], [1.0, 1.0]), "proper"),
+    (lambda: fly(delay=(0.0, 0.1)), "delay to the robot.* at least one sample"),
+    (
+        lambda: fly(delay=late_from(100.0)),
+        "begins at 100 s, after the end of the run",
+    ),
+    (lambda: fly(delay=late_from(0.0)), "delay to the robot: .*until 0.2 s, and the run lasts"),
+    (
+        lambda: fly(signals={"push": np.full((500, 3), np.nan)}),
+        "push .* but sample 0 is",
+    ),
+    (
+        lambda: fly(scheme="OMI", task=tl.TrackingTask(vehicle=lambda state: (state.robot, NONE))),
+        "three TransferFunction",
+    ),
+    (lambda: tl.TrackingTask(vehicle=(UNIT, NONE[:, :2], UNIT)), "vehicle must be matrices"),
+    (lambda: tl.TrackingTask(vehicle=(np.nan * UNIT, NONE, UNIT)), "vehicle must be finite"),
+    (lambda: replace(STUDIES["main"], mass=1.0, weight=60.0), "not r-passive"),
+    (
+        lambda: simulate_team({0.0: PATH, 5.0: nx.empty_graph(3)}, duration=10.0),
+        r"from t = 5 s on: .*parts are \[0\]; \[1\]",
+    ),
+    (lambda: simulate_team(nx.MultiGraph([(0, 1), (0, 1)])), "parallel edges"),
+    (lambda: simulate_team(nx.DiGraph([(0, 1), (0, 2)])), "it has no spanning tree"),
+    (lambda: simulate_team(np.array([[0.0, -1.0], [-1.0, 0.0]])), "from 0 to 1 it is -1.0"),
+    (lambda: simulate_team(PATH, GivenSequence(["z", 0])), "'z', which does not exist"),
+    (lambda: simulate_team(PATH, record_every=0.0015), "must be a multiple of sample_time"),
+    (lambda: simulate_team(PATH, delay=0.5, min_dwell=0.2), "must be greater than the delay"),
+    (lambda: tl.run_condition("C5", 2, thresholds=(0.1, 0.6)), "no effect in C5, where"),
+    (lambda: tl.run_condition("C3"), "who drives"),
+    (lambda: tl.run_condition("C3", 21, testbed="uav_following"), "from 1 to 20, got 21"),
+    (lambda: tl.run_condition("C3", published_operator(2)), "model must be of class TscModel"),
+]
+
+
+@pytest.mark.parametrize(("call", "words"), REFUSED, ids=[words[:30] for _, words in REFUSED])
+def test_what_does_not_go_together_is_refused(call, words):
     with pytest.raises(ValueError, match=words):
-        simulate_team(graph, **{"duration": 10.0} | options)
+        call()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"delay": (0.0, 0.1)}, "delay to the robot.* at least one sample"),
-        ({"signals": {"push": np.full((12000, 3), np.nan)}}, "push .* but sample 0 is"),
-        ({"signals": {"alpha": endless(50)}}, "alpha .* but sample 50 is inf"),
-        (
-            {"delay": (packet_delay([100.0, 130.0], [100.1, 130.1]), 0.1), "duration": 5.0},
-            "the trace begins at 100 s, after the end of the run: give seconds from the start",
-        ),
-        (
-            {"delay": (packet_delay([0.0, 0.1], [0.1, 0.2]), 0.1), "duration": 5.0},
-            "delay to the robot: .*until 0.2 s, and the run lasts until",
-        ),
-        (
-            {"scheme": "OMI", "task": tl.TrackingTask(vehicle=lambda state: (state.robot, NONE))},
-            "three TransferFunction",
-        ),
-    ],
-)
-def test_flights(arguments, words):
-    with pytest.raises(ValueError, match=words):
-        tl.simulate_teleoperation(**arguments)
-
-
-@pytest.mark.parametrize("matrices", [(UNIT, NONE[:, :2], UNIT), (np.nan * UNIT, NONE, UNIT)])
-def test_vehicles_and_devices(matrices):
-    with pytest.raises(ValueError, match=r"vehicle must be (finite|matrices)"):
-        tl.TrackingTask(vehicle=matrices)
-    with pytest.raises(PassivityError, match="not r-passive"):
-        replace(STUDIES["main"], mass=1.0, weight=60.0)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"condition": "C5", "thresholds": (0.1, 0.6)}, "no effect in C5, where"),
-        ({"participant": None}, "who drives"),
-        ({"condition": None}, "condition must be one of .*or rule="),
-        ({"testbed": "uav_tracking"}, "testbed must be one of 'ground_robot', 'uav_following'"),
-        ({"testbed": "uav_following", "participant": 21}, "from 1 to 20, got 21"),
-        ({"participant": published_operator(2)}, "model must be of class TscModel"),
-    ],
-)
-def test_conditions(arguments, words):
-    with pytest.raises(ValueError, match=words):
-        tl.run_condition(**({"condition": "C3", "participant": 2} | arguments))
+def test_a_session_without_the_signals():
+    run = tl.simulate_teleoperation("M", seed=1, duration=1.0)
+    with pytest.raises(tl.SessionError, match="f_s_y"):
+        tl.passivity(tl.Session(run.data.drop(columns="f_s_y"), run.metadata))

@@ -10,6 +10,7 @@ import trustlab as tl
 from trustlab.trust.comparison import recover_trust_models
 from trustlab.trust.dynamics import MODELS
 from trustlab.trust.likelihood import predict, simulate_ratings
+from trustlab.trust.panel import panel_until
 
 FAST = ["performance", "asymmetric", "persistence", "habit"]
 
@@ -43,8 +44,8 @@ def test_last_third_is_not_fitted_and_predicted_freely(compared):
     ratings = panel.ratings.copy()
     ratings[:, 8:] = 0.5
     changed = replace(panel, ratings=ratings)
-    fit = tl.trust.fitting.fitted(panel, MODELS["performance"], until=7)
-    again = tl.trust.fitting.fitted(changed, MODELS["performance"], until=7)
+    fit = tl.trust.fitting.fitted(panel_until(panel, 7), MODELS["performance"])
+    again = tl.trust.fitting.fitted(panel_until(changed, 7), MODELS["performance"])
     np.testing.assert_array_equal(fit.coordinates, again.coordinates)
     free = [predict(fit.model, p, free=True, known=7).mean for p in (panel, changed)]
     np.testing.assert_array_equal(free[0], free[1])

@@ -21,57 +21,49 @@ APPENDIX_A = (
 
 
 @njit
-def best_share(weights, states, low, high, series, slope):
+def best_share(weights, states, low, high, series):
     """
     Return the α in [low, high] of least cost.
 
-    weights, shape (3, DEGREE + 1, 5, 5): the cost's matrices as Chebyshev series in α over [0, 1],
-    per axis. states, shape (3, 5): command of the operator and of the controller, error, its first
-    and second derivative, per axis. series, slope, shapes (DEGREE + 1,) and (DEGREE + 2,): room for
-    the cost as a series and its derivative, as the loops allocate nothing.
+    weights, shape (DEGREE + 1, 3, 5, 5): the cost's matrices as power series in 2α − 1, per axis.
+    states, shape (3, 5): command of the operator and of the controller, error, its first and second
+    derivative, per axis. series, shape (DEGREE + 1,): room for the cost as a series, as the loops
+    allocate nothing.
     """
-    terms = weights.shape[1]
+    terms = series.size
     series[:] = 0.0
-    slope[:] = 0.0
     for axis in range(3):
         for i in range(5):
             for j in range(5):
                 pair = states[axis, i] * states[axis, j]
                 if pair != 0.0:
                     for m in range(terms):
-                        series[m] += pair * weights[axis, m, i, j]
-    # Derivative in x = 2α − 1.
-    for m in range(terms - 1, 0, -1):
-        slope[m - 1] = slope[m + 1] + 2.0 * m * series[m]
-    slope[0] *= 0.5
+                        series[m] += pair * weights[m, axis, i, j]
     # The best of a grid that is finer than the polynomial can turn; then the root beside it.
     spacing = (high - low) / (4 * terms)
     best, least = low, np.inf
     for k in range(4 * terms + 1):
-        cost = _chebyshev(series, 2.0 * (low + k * spacing) - 1.0)
+        cost, _ = _polynomial(series, 2.0 * (low + k * spacing) - 1.0)
         if cost < least:
             best, least = low + k * spacing, cost
     a, b = max(best - spacing, low), min(best + spacing, high)
-    if _chebyshev(slope, 2.0 * a - 1.0) >= 0.0:
-        return a
-    if _chebyshev(slope, 2.0 * b - 1.0) <= 0.0:
-        return b
     for _ in range(60):
         middle = 0.5 * (a + b)
-        if _chebyshev(slope, 2.0 * middle - 1.0) < 0.0:
+        if _polynomial(series, 2.0 * middle - 1.0)[1] < 0.0:
             a = middle
         else:
             b = middle
-    return 0.5 * (a + b)
+    return a
 
 
 @njit
-def _chebyshev(series, x):
-    """Return Σ c_m T_m(x) by Clenshaw's recurrence."""
-    last = before_last = 0.0
-    for m in range(series.size - 1, 0, -1):
-        last, before_last = 2.0 * x * last - before_last + series[m], last
-    return x * last - before_last + series[0]
+def _polynomial(series, x):
+    """Return Σ c_m x^m and its derivative, by Horner's rule."""
+    value = slope = 0.0
+    for m in range(series.size - 1, -1, -1):
+        slope = slope * x + value
+        value = value * x + series[m]
+    return value, slope
 
 
 class OptimalBlending:
@@ -128,15 +120,20 @@ class OptimalBlending:
         self.gains = finite_numbers("gains", gains)
         if self.gains.shape != (3, 2):
             raise ValueError(f"gains must be three pairs (proportional, derivative), got {gains}")
-        self.alpha_min = between("alpha_min", alpha_min, 0.0, 1.0)
-        self.alpha_max = between("alpha_max", alpha_max, 0.0, 1.0)
-        in_order("alpha_min", self.alpha_min, "alpha_max", self.alpha_max)
+        between("alpha_min", alpha_min, 0.0, 1.0)
+        between("alpha_max", alpha_max, 0.0, 1.0)
+        self.alpha_min, self.alpha_max = in_order("alpha_min", alpha_min, "alpha_max", alpha_max)
         self.horizon = between("horizon", positive("horizon", horizon), 0.0, 2.0)
-        self.weights = self._series()
+        count = DEGREE + 1
+        nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+        costs = [[self._cost(axis, 0.5 * (x + 1.0)) for axis in range(3)] for x in nodes]
+        series = np.linalg.solve(np.vander(nodes, increasing=True), np.reshape(costs, (count, -1)))
+        self.weights = series.reshape(count, 3, 5, 5)
 
-    def _matrix(self, axis: int, alpha: float) -> np.ndarray:
+    def _cost(self, axis: int, alpha: float) -> np.ndarray:
         """
-        Return A(α), shape (5, 5), of one axis, for the states u_h, u_a, e, de/dt, d²e/dt².
+        Return the cost of an α that is held, a quadratic form of an axis' states: u_h, u_a, e,
+        de/dt, d²e/dt².
 
         An axis of order one has no fifth state.
         """
@@ -148,27 +145,12 @@ class OptimalBlending:
         a[own, own] = motion
         a[own, :2] = -np.outer(drive, (alpha, 1.0 - alpha))
         a[1] = p * a[2] + d * a[3]
-        return a
-
-    def _series(self) -> np.ndarray:
-        """Return the cost of an α that is held as Chebyshev series, shape (3, DEGREE + 1, 5, 5)."""
-        count = DEGREE + 1
-        nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
-        # At these nodes Chebyshev's polynomials are orthogonal.
-        fit = 2.0 / count * np.polynomial.chebyshev.chebvander(nodes, DEGREE).T
-        fit[0] *= 0.5
-        values = np.empty((3, count, 5, 5))
-        for axis in range(3):
-            for k, alpha in enumerate(0.5 * (nodes + 1.0)):
-                a = self._matrix(axis, alpha)
-                q = np.zeros((5, 5))
-                q[2, 2] = 200.0
-                q[:2, :2] = (1.0 - alpha) ** 2 * np.array([[1.0, -1.0], [-1.0, 1.0]])
-                block = np.block([[-a.T, q], [np.zeros((5, 5)), a]])
-                whole = scipy.linalg.expm(block * self.horizon)  # Van Loan
-                gram = whole[5:, 5:].T @ whole[:5, 5:]
-                values[axis, k] = 0.5 * (gram + gram.T)
-        return (fit @ values.reshape(3, count, 25)).reshape(values.shape)
+        q = np.zeros((5, 5))
+        q[2, 2] = 200.0
+        q[:2, :2] = (1.0 - alpha) ** 2 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        block = np.block([[-a.T, q], [np.zeros((5, 5)), a]])
+        whole = scipy.linalg.expm(block * self.horizon)  # Van Loan
+        return whole[5:, 5:].T @ whole[:5, 5:]
 
     def step(self, u_h, u_a, e, rate, acceleration) -> float:
         """
@@ -189,6 +171,5 @@ class OptimalBlending:
         """
         signals = {"u_h": u_h, "u_a": u_a, "e": e, "rate": rate, "acceleration": acceleration}
         columns = [finite_array(name, value, length=3) for name, value in signals.items()]
-        room = np.empty(DEGREE + 1), np.empty(DEGREE + 2)
-        states = np.column_stack(columns)
-        return best_share(self.weights, states, self.alpha_min, self.alpha_max, *room)
+        bounds = self.alpha_min, self.alpha_max
+        return best_share(self.weights, np.column_stack(columns), *bounds, np.empty(DEGREE + 1))

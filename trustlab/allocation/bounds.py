@@ -7,7 +7,7 @@ import numpy as np
 
 from trustlab.allocation.limits import check_thresholds, step_bounds
 from trustlab.allocation.simulation import simulate_allocation
-from trustlab.allocation.steady import SteadyRanges, ends, limit_cycle, longest_phase
+from trustlab.allocation.steady import SteadyRanges, limit_cycle, longest_phase
 from trustlab.models.checks import between
 from trustlab.models.display import axes_or_new
 from trustlab.models.tsc import TscConstants, TscModel
@@ -56,10 +56,9 @@ class SteadyStateBounds(SteadyRanges):
             (self.p_r_low, best, short, r"manual, greatest $P_h$, $\tau_{dml}$"),
             (self.p_r_low, worst, long, r"manual, least $P_h$, $\tau_{dmu}$"),
         ):
-            curve, at_dwell = (goal + (start - goal) * robot.a**k for k in (steps, dwell))
-            (line,) = axes[0].plot(0.1 * steps, curve, label=label)
-            axes[0].plot(0.1 * dwell, at_dwell, "o", color=line.get_color())
-        settled = longest_phase(self.model)
+            curve = goal + (start - goal) * robot.a**steps
+            axes[0].plot(0.1 * steps, curve, "o-", markevery=steps == dwell, label=label)
+        settled = longest_phase(self.model.constants())
         run = simulate_allocation(self.model, self.lower, self.upper, settled + 4000, r0=0.1)
         axes[1].plot(0.1 * np.arange(4000), run["r"].iloc[settled:], label="r under (2.8)")
         axes[1].axhline(human.beta, color="k", ls=":", lw=0.8, label="β")
@@ -188,18 +187,17 @@ def steady_state_bounds(
             f"gives P_rl = {bounds.p_r_low:.4g} and P_ru = {bounds.p_r_high:.4g} within "
             f"[{robot.p_min}, {robot.p_max}]; move them towards each other's middle"
         )
-    manual = bounds.dwell_manual_low, bounds.dwell_manual_high
+    dwells = bounds.dwell_manual_low, bounds.dwell_manual_high, bounds.dwell_autonomous_high
+    r_low, r_high = utilization_as_printed(tsc.human.a, *dwells)
     return SteadyStateBounds(
         model=tsc,
         lower=lower,
         upper=upper,
         reason=f"Bounds as printed, δ_TSC = {delta_tsc:.3g}",
         delta_tsc=delta_tsc,
-        **ends(
-            r=utilization_as_printed(tsc.human.a, *manual, bounds.dwell_autonomous_high),
-            p_r=(bounds.p_r_low, bounds.p_r_high),
-            tsc=(lower - delta_tsc, upper + delta_tsc),
-            dwell_manual=manual,
-            dwell_autonomous=(np.nan, bounds.dwell_autonomous_high),
-        ),
+        r_low=float(r_low),
+        r_high=float(r_high),
+        tsc_low=lower - delta_tsc,
+        tsc_high=upper + delta_tsc,
+        **{name: float(value) for name, value in bounds._asdict().items()},
     )

@@ -145,7 +145,9 @@ class CorrectionProgram:
         options = {"print_time": False, "error_on_fail": False, "expand": True, "ipopt": ipopt}
         return ca.nlpsol("correction", "ipopt", program, options)
 
-    def improved(self, state: np.ndarray, mode: int) -> tuple[float, np.ndarray, str]:
+    def improved(
+        self, state: np.ndarray, mode: int, cost: float, path: np.ndarray
+    ) -> tuple[float, np.ndarray, str]:
         """
         Return cost and path of the best plan found, and what to say of it; the cost is NaN where
         there is none.
@@ -156,22 +158,22 @@ class CorrectionProgram:
             r, P_r, TSC_l and TSC_u now.
         mode : int
             Mode before now.
+        cost, path : float, numpy.ndarray
+            The clipped plan.
         """
         began = perf_counter()
-        clipped = self._judged(state, mode, np.full((2, self.corrector.horizon), np.nan))
-        corrections, reason = self._solved(mode, clipped[1])
+        corrections, reason = self._solved(mode, path)
         if perf_counter() - began > self.limit:
             reason = f"it takes longer than limit = {self.limit:g} s"
-        cost, path = min(clipped, self._judged(state, mode, corrections), key=itemgetter(0))
+        moved, _, other = self.corrector.followed(state, mode, np.ascontiguousarray(corrections))
+        plans = self._judged(cost, path), self._judged(moved, other)
+        cost, path = min(plans, key=itemgetter(0))
         if not np.isfinite(cost):
             reason = "no plan has a finite cost"
         return (np.nan, path, UNSOLVED.format(reason=reason)) if reason else (cost, path, SOLVED)
 
-    def _judged(
-        self, state: np.ndarray, mode: int, corrections: np.ndarray
-    ) -> tuple[float, np.ndarray]:
-        """Return (2.43) with the user's cost, and the path, of corrections."""
-        cost, _, path = self.corrector.followed(state, mode, corrections)
+    def _judged(self, cost: float, path: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the cost with the user's, infinite where that is no number, and the path."""
         total = cost + float(self._added(path[[R, P_R, U, L, C_U, C_L], :-1]))
         return (total if np.isfinite(total) else np.inf), path
 
@@ -184,17 +186,14 @@ class CorrectionProgram:
         # Both thresholds stay between their values now and their targets, which are 0.
         least, most, share = np.full_like(start, -np.inf), np.full_like(start, np.inf), 0.0 * start
         least[:2], most[:2], share[:2] = np.minimum(now, 0.0) - 1e-6, np.maximum(now, 0.0) + 1e-6, 1
-        try:
-            solution = self._solver(
-                x0=start.ravel("F"),
-                p=np.r_[z.ravel("F"), 1.0 / max(1.0, np.sum(now**2))],
-                lbx=least.ravel("F"),
-                ubx=most.ravel("F"),
-                lbg=0.0,
-                ubg=share.ravel("F"),
-            )
-        except RuntimeError as error:
-            return guess[[C_L, C_U], :-1], str(error).strip().splitlines()[-1][-200:]
+        solution = self._solver(
+            x0=start.ravel("F"),
+            p=np.r_[z.ravel("F"), 1.0 / max(1.0, np.sum(now**2))],
+            lbx=least.ravel("F"),
+            ubx=most.ravel("F"),
+            lbg=0.0,
+            ubg=share.ravel("F"),
+        )
         reached = np.asarray(solution["x"]).reshape(-1, self.moving).T[:2]
         steps = np.diff(np.c_[now, reached], axis=1)[::-1] * c_b
         stats = self._solver.stats()

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from trustlab.allocation.steady import limit_cycle
 from trustlab.models.checks import (
     finite_number,
     finite_numbers,
+    function,
     of_class,
     one_of,
     positive,
@@ -151,10 +153,9 @@ def within_range(name: str, values: Any, least: float, most: float) -> Any:
 @njit
 def _allowed(wish, now, start, target, low, high):
     """Return a correction within its box that keeps a threshold between start and target."""
-    if np.isnan(wish):
-        return min(max(target - now, low), high)
-    moved = now + min(max(wish, low), high)
-    return min(max(moved, min(start, target)), max(start, target)) - now
+    wish = target - now if np.isnan(wish) else wish
+    least, most = min(start, target) - now, max(start, target) - now
+    return min(max(wish, low, least), high, most)
 
 
 @njit
@@ -181,8 +182,7 @@ def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
     alike = True  # whether all admissible plans have had the same modes so far
     nearest = start.copy()
     # Of the states that other plans may be in, the least and the greatest load and performance.
-    r_least, p_least = path[R, 0], path[P_R, 0]
-    r_most, p_most = r_least, p_least
+    least = most = path[R, 0], path[P_R, 0]
     for k in range(path.shape[1] - 1):
         r, p_r = path[R, k], path[P_R, k]
         lower, upper = path[L, k], path[U, k]
@@ -194,11 +194,10 @@ def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
         low, high = min(low, 0.0), max(high, 0.0)
         down, up = low, high
         if alike:
-            r_least, p_least = r, p_r
-            r_most, p_most = r, p_r
+            least = most = r, p_r
         elif certain:
-            up = max(incentive(r_least, p_least, c_b, c.p_r_min, c.p_r_max)[1], 0.0)
-            down = min(incentive(r_most, p_most, c_b, c.p_r_min, c.p_r_max)[0], 0.0)
+            up = max(incentive(least[0], least[1], c_b, c.p_r_min, c.p_r_max)[1], 0.0)
+            down = min(incentive(most[0], most[1], c_b, c.p_r_min, c.p_r_max)[0], 0.0)
         else:
             down, up = -c_b, c_b
         # Between switches (2.8) waits for one threshold alone, which other plans have between its
@@ -219,9 +218,9 @@ def follow_with(incentive, certain, c, c_b, target, start, mode, given, path):
         path[MODE, k] = mode
         path[R, k + 1], path[P_R, k + 1] = advance(r, p_r, p_h, float(mode), c)
         # Performance falls farthest under P_h,min where that is negative, else without anybody.
-        p_least = advance(0.0, p_least, min(c.p_h_min, 0.0), 1.0, c)[1]
-        r_least = advance(r_least, 0.0, 0.0, 0.0, c)[0]
-        r_most, p_most = advance(r_most, p_most, c.p_h_max, 1.0, c)
+        rested, _ = advance(least[0], 0.0, 0.0, 0.0, c)
+        least = rested, advance(0.0, least[1], min(c.p_h_min, 0.0), 1.0, c)[1]
+        most = advance(most[0], most[1], c.p_h_max, 1.0, c)
     return cost, min(bound, cost)
 
 
@@ -398,9 +397,14 @@ class ThresholdCorrector:
         self.c_b = positive("c_b", c_b)
         self.horizon = whole_number("horizon", horizon, most=1_000_000)
         self._range = tsc.robot.p_min, tsc.robot.p_max
-        self.incentive = incentive
-        if incentive is not incentive_box:
-            self._try(incentive)
+        self.incentive = function("incentive", incentive)
+        for r in (0.1, 0.5, 0.9):
+            low, high = incentive(r, 0.5 * sum(self._range), self.c_b, *self._range)
+            if not sound.py_func(low, high, self.c_b):
+                raise ValueError(
+                    f"incentive must return numbers in [−c_b, 0] and [0, c_b], c_b = "
+                    f"{self.c_b:g}, but at r = {r} returns {low:g} and {high:g}"
+                )
         options = {"extra_cost": extra_cost, "switch_width": switch_width, "limit": limit}
         given: Any = {name: value for name, value in options.items() if value is not None}
         self.program: Any = None
@@ -413,9 +417,12 @@ class ThresholdCorrector:
             raise ValueError(f'{", ".join(given)} would do nothing without engine="casadi"')
         self._problem = tsc.constants(), self.c_b, np.array(self.target)
         self._clipped = np.full((2, self.horizon), np.nan)
-        state = np.zeros(2), 1, self._clipped, np.zeros((7, 2))
-        # numba would look for it by the types of all arguments at every step; it takes no others
-        self._follow = compiled_for(follow, *self._problem, *state)
+        if incentive is incentive_box:
+            # numba would look for it by the types of all arguments at every step
+            state = np.zeros(2), 1, self._clipped, np.zeros((7, 2))
+            self._follow: Callable = compiled_for(follow, *self._problem, *state)
+        else:
+            self._follow = partial(follow_with.py_func, incentive, False)
 
     def step(
         self, r: float, p_r: float, lower: float, upper: float, mode: int = 1
@@ -455,7 +462,7 @@ class ThresholdCorrector:
             message = UNSOUND
         elif self.program is not None:
             bound = np.nan
-            cost, path, message = self.program.improved(state, mode)
+            cost, path, message = self.program.improved(state, mode, cost, path)
         held = np.isnan(cost)
         if held:  # nothing is predicted
             path[:, 1:] = np.nan
@@ -474,24 +481,6 @@ class ThresholdCorrector:
             path,
         )
 
-    def _try(self, incentive: Callable) -> None:
-        """Refuse an incentive that fails or has no bounds where it is tried, not in a loop."""
-        for r in (0.1, 0.5, 0.9):
-            try:
-                bounds = incentive(r, 0.5 * sum(self._range), self.c_b, *self._range)
-                low, high = map(float, bounds)
-            except Exception as error:
-                raise ValueError(
-                    "incentive must be a function of r, p_r, c_b, p_min and p_max that returns the "
-                    f"least and the greatest correction, but at r = {r} it raises "
-                    f"{type(error).__name__}: {error}"
-                ) from error
-            if not sound.py_func(low, high, self.c_b):
-                raise ValueError(
-                    f"incentive must return numbers in [−c_b, 0] and [0, c_b], c_b = "
-                    f"{self.c_b:g}, but at r = {r} returns {low:g} and {high:g}"
-                )
-
     def followed(
         self, state: np.ndarray, mode: int, given: np.ndarray
     ) -> tuple[float, float, np.ndarray]:
@@ -506,15 +495,11 @@ class ThresholdCorrector:
         mode : int
             Mode before now.
         given : numpy.ndarray, shape (2, N)
-            Corrections c_l and c_u; NaN for clipped ones.
+            Corrections c_l and c_u, contiguous; NaN for clipped ones.
         """
         path = np.full((7, self.horizon + 1), np.nan)
         path[:4, 0] = state
-        arguments = *self._problem, state[2:], mode, given, path
-        if self.incentive is incentive_box:
-            called = self._follow if given is self._clipped else follow
-            return *called(*arguments), path
-        return *follow_with.py_func(self.incentive, False, *arguments), path
+        return *self._follow(*self._problem, state[2:], mode, given, path), path
 
 
 def suggestion_now(tsc: float, lower: float, upper: float) -> int:

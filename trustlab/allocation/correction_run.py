@@ -160,30 +160,24 @@ class OnlineCorrection:
         p_r = math.nan if _missing(p_r) else finite_number("p_r", p_r)
         p_h = math.nan if _missing(p_h) else finite_number("p_h", p_h)
         now = self.mode if _missing(mode) else whole_number("mode", mode, least=0, most=1)
-        c, r = self._c, self.r
-        lower, upper = self.lower, self.upper
-        suggestion = -1
-        status, message = "held", MISSING
-        c_l = c_u = 0.0
-        cost = bound = math.nan
+        c, r, lower, upper = self._c, self.r, self.lower, self.upper
         tsc = tsc_at.py_func(p_r, p_h, c)
-        if not math.isnan(tsc):
-            suggestion = suggestion_now(tsc, lower, upper)
-            slack = ROUNDING * (c.p_r_max - c.p_r_min)
-            inside = c.p_r_min - slack <= p_r <= c.p_r_max + slack
-            message = OUTSIDE
-            if inside or self._nearest:
-                in_range = min(max(p_r, c.p_r_min), c.p_r_max)
-                plan = self.corrector.step(r, in_range, lower, upper, now)
-                c_l, c_u = plan.c_l, plan.c_u
-                cost, bound = plan.cost, plan.cost_lower_bound
-                status = plan.status
-                message = plan.message if inside or status == "held" else NEAREST
-        self.lower, self.upper = lower + c_l, upper + c_u
+        missing = math.isnan(tsc)
+        nearest = min(max(p_r, c.p_r_min), c.p_r_max)
+        inside = abs(p_r - nearest) <= ROUNDING * (c.p_r_max - c.p_r_min)
+        corrections, costs = (0.0, 0.0), (math.nan, math.nan)
+        status, message = "held", MISSING if missing else OUTSIDE
+        if not missing and (inside or self._nearest):
+            plan = self.corrector.step(r, nearest, lower, upper, now)
+            corrections, costs = (plan.c_l, plan.c_u), (plan.cost, plan.cost_lower_bound)
+            status = plan.status
+            message = plan.message if inside or status == "held" else NEAREST
+        self.lower, self.upper = lower + corrections[0], upper + corrections[1]
         self.mode = now
         self.r = next_utilization.py_func(r, now, c.a_r)
+        suggestion = -1 if missing else suggestion_now(tsc, lower, upper)
         step = OnlineStep(
-            *(suggestion, tsc, lower, upper, c_l, c_u, r, cost, bound),
+            *(suggestion, tsc, lower, upper, *corrections, r, *costs),
             *(status, message, perf_counter() - began),
         )
         self._steps.append(step)
@@ -250,27 +244,21 @@ class CorrectionRun(Result):
             r (means), switches, held (samples without a plan), largest_gap (of all plans,
             relative).
         """
-        way = np.abs(np.subtract(self.target, self.start)).sum()
-        rows = []
-        for test, part in self.data.groupby("test"):
-            last = part.iloc[-1]
-            lower, upper = last["lower"] + last["c_l"], last["upper"] + last["c_u"]
-            left = np.abs(np.subtract(self.target, (lower, upper))).sum()
-            gap = (part["cost"] - part["cost_lower_bound"]) / part["cost"].replace(0.0, 1.0)
-            rows.append(
-                {
-                    "test": test,
-                    "lower": lower,
-                    "upper": upper,
-                    "remaining": left / way if way > 0.0 else np.nan,
-                    "p_r": part["p_r"].mean(),
-                    "r": part["r"].mean(),
-                    "switches": np.count_nonzero(np.diff(part["mode"])),
-                    "held": (part["status"] == "held").sum(),
-                    "largest_gap": gap.max(),
-                }
-            )
-        return pd.DataFrame(rows)
+        data, cost = self.data, self.data["cost"]
+        data = data.assign(
+            lower=data["lower"] + data["c_l"],
+            upper=data["upper"] + data["c_u"],
+            switches=data.groupby("test")["mode"].diff().abs() > 0.0,
+            held=data["status"] == "held",
+            largest_gap=(cost - data["cost_lower_bound"]) / cost.replace(0.0, 1.0),
+        )
+        how = {"lower": "last", "upper": "last", "p_r": "mean", "r": "mean"}
+        how |= {"switches": "sum", "held": "sum", "largest_gap": "max"}
+        table = data.groupby("test", as_index=False).agg(how)
+        way = np.abs(np.subtract(self.target, self.start)).sum() or np.nan
+        left = np.abs(table[["lower", "upper"]].to_numpy() - self.target).sum(axis=1)
+        table.insert(3, "remaining", left / way)
+        return table
 
 
 def run_correction(

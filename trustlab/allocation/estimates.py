@@ -141,23 +141,17 @@ def estimate_thresholds(
     rows = []
     for number, run in enumerate(runs):
         of_class(f"sessions[{number}]", run, Session, "trustlab.read_session(path) reads one")
-        run.require("mode")
         mode = run["mode"]
-        if not np.isin(mode, (0.0, 1.0)).all():
-            raise SessionError(
-                f"{run.label}: thresholds need a mode of 0 or 1, not shares", run.metadata.source
+        wrong = "thresholds need a mode of 0 or 1, not shares"
+        if "tsc" not in run and model is None:
+            wrong = (
+                "column 'tsc' is missing; give model=TscModel(...) to compute it from p_r and p_h"
             )
-        if "tsc" in run:
-            tsc = run["tsc"]
-        elif model is not None:
-            run.require("p_r", "p_h")
-            tsc = model.value(run["p_r"], run["p_h"])
-        else:
-            raise SessionError(
-                f"{run.label} has no column 'tsc'; give model=TscModel(...) to compute it from "
-                "p_r and p_h",
-                run.metadata.source,
-            )
+        elif np.isin(mode, (0.0, 1.0)).all():
+            wrong = ""
+        if wrong:
+            raise SessionError(f"{run.label}: {wrong}", run.metadata.source)
+        tsc = run["tsc"] if "tsc" in run else model.value(run["p_r"], run["p_h"])
         for k in np.flatnonzero((np.diff(mode) != 0.0) & (run.t[1:] >= after)) + 1:
             rows.append((number, run.t[k], "lower" if mode[k] == 1.0 else "upper", tsc[k]))
     switches = pd.DataFrame(rows, columns=["run", "t", "threshold", "tsc"])
@@ -277,51 +271,42 @@ def followed_suggestions(session: Session, deadline: float = 15.0) -> pd.DataFra
         if not np.isin(session[name], (-1.0, 0.0, 1.0)).all():
             raise SessionError(f"column {name!r} holds shares; suggestions need modes of 0 or 1")
     episodes = suggestion_episodes(session.t, session["mode"], session["suggested_mode"], deadline)
-    rows = [
-        (start, float(to), delay, state == FOLLOWED, STATES[state])
-        for start, to, delay, state in episodes
-    ]
-    return pd.DataFrame(rows, columns=["start", "suggested_mode", "delay", "followed", "state"])
+    table = pd.DataFrame(episodes, columns=["start", "suggested_mode", "delay", "state"])
+    table.insert(3, "followed", table["state"] == FOLLOWED)
+    return table.assign(state=table["state"].map(dict(enumerate(STATES))))
 
 
 @njit
 def suggestion_episodes(t, mode, suggested, deadline):
     """
-    Return start, mode, delay until it was taken (or NaN) and state of every suggestion.
+    Return start, mode, delay until it was taken (or NaN) and state of every suggestion, a row each.
 
     States are those of `followed_suggestions`.
     """
-    first = list(range(0))
-    last = list(range(0))
+    rows = np.full((t.size, 4), np.nan)  # the last column is when it was shown last, at first
+    count = last = 0
     # Whether none was shown yet, or the mode has changed, or the aid has agreed with it, since the
-    # last one was
+    # last one was.
     broken = True
     for k in range(t.size):
         before = mode[max(k - 1, 0)]
         if suggested[k] >= 0.0 and suggested[k] != before:
-            same = not broken and suggested[first[-1]] == suggested[k]
-            if not same or t[k] - t[last[-1]] > deadline:
-                first.append(k)
-                last.append(k)
-            last[-1] = k
+            if broken or suggested[k] != suggested[last] or t[k] - t[last] > deadline:
+                rows[count, 0], rows[count, 1] = t[k], suggested[k]
+                count += 1
+            rows[count - 1, 3] = t[k]
+            last = k
             broken = False
         elif mode[k] != before or suggested[k] == before:
             broken = True
-    rows = []
-    for i in range(len(first)):
-        start = first[i]
-        suggestion = suggested[start]
-        delay = np.nan
-        stop = first[i + 1] if i + 1 < len(first) else t.size
-        for k in range(start, stop):
-            if mode[k] == suggestion:
-                delay = t[k] - t[start]
-                break
+        row = rows[count - 1]
+        if mode[k] == row[1] and np.isnan(row[2]):
+            row[2] = t[k] - row[0]
+    for row in rows[:count]:
+        start, _, delay, shown = row
+        row[3] = WITHDRAWN if t[-1] - start >= deadline else OPEN
         if delay <= deadline + 1e-9:
-            state = FOLLOWED
-        elif t[last[i]] - t[start] >= deadline - 1e-9:
-            state = NOT_FOLLOWED
-        else:
-            state = WITHDRAWN if t[-1] - t[start] >= deadline else OPEN
-        rows.append((t[start], suggestion, delay, state))
-    return rows
+            row[3] = FOLLOWED
+        elif shown - start >= deadline - 1e-9:
+            row[3] = NOT_FOLLOWED
+    return rows[:count]

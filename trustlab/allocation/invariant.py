@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.allocation.steady import EFFORT, SteadyRanges, endless_phase, ends
+from trustlab.allocation.steady import EFFORT, SteadyRanges, endless_phase
 from trustlab.models.checks import in_order, of_class, whole_number
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel, advance, human_at, human_range, tsc_at
@@ -301,11 +301,16 @@ def invariant_bounds(
         )
     after = 0
     ranges: Any = {
-        "r": (0.0, 1.0),
-        "p_r": (tsc.robot.p_min, tsc.robot.steady_state(1.0, tsc.human.p_max)),
-        "tsc": (-np.inf, np.inf),
-        "dwell_manual": (1.0, np.inf),
-        "dwell_autonomous": (1.0, np.inf),
+        "r_low": 0.0,
+        "r_high": 1.0,
+        "p_r_low": tsc.robot.p_min,
+        "p_r_high": tsc.robot.steady_state(1.0, tsc.human.p_max),
+        "tsc_low": -np.inf,
+        "tsc_high": np.inf,
+        "dwell_manual_low": 1.0,
+        "dwell_manual_high": np.inf,
+        "dwell_autonomous_low": 1.0,
+        "dwell_autonomous_high": np.inf,
     }
     if nested:
         low, high, manual, autonomous, done, settled = nested
@@ -318,17 +323,16 @@ def invariant_bounds(
         # that its extremes are where these begin.
         slack = max(manual.dwell_high, autonomous.dwell_high) * ROUNDING
         ranges = {
-            "r": (max(low - slack, 0.0), min(high + slack, 1.0)),
-            "p_r": (
-                min(manual.p_r_low, autonomous.p_r_low) - slack,
-                max(manual.p_r_high, autonomous.p_r_high) + slack,
-            ),
-            "tsc": (
-                min(manual.tsc_low, lower - autonomous.overshoot) - slack,
-                max(autonomous.tsc_high, upper + manual.overshoot) + slack,
-            ),
-            "dwell_manual": (manual.dwell_low, manual.dwell_high),
-            "dwell_autonomous": (autonomous.dwell_low, autonomous.dwell_high),
+            "r_low": max(low - slack, 0.0),
+            "r_high": min(high + slack, 1.0),
+            "p_r_low": min(manual.p_r_low, autonomous.p_r_low) - slack,
+            "p_r_high": max(manual.p_r_high, autonomous.p_r_high) + slack,
+            "tsc_low": min(manual.tsc_low, lower - autonomous.overshoot) - slack,
+            "tsc_high": max(autonomous.tsc_high, upper + manual.overshoot) + slack,
+            "dwell_manual_low": manual.dwell_low,
+            "dwell_manual_high": manual.dwell_high,
+            "dwell_autonomous_low": autonomous.dwell_low,
+            "dwell_autonomous_high": autonomous.dwell_high,
         }
     return InvariantBounds(
         model=tsc,
@@ -337,5 +341,5 @@ def invariant_bounds(
         guaranteed=bool(nested),
         reason=reason,
         cycles=after,
-        **ends(**ranges),
+        **ranges,
     )

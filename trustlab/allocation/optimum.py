@@ -8,24 +8,13 @@ alone. No rule exceeds the greatest f; holding r there, by a threshold on utiliz
 """
 
 from dataclasses import dataclass
-from operator import itemgetter
 
 import numpy as np
 import pandas as pd
 from scipy import optimize, special
 
 from trustlab.allocation.limits import threshold_limits
-from trustlab.allocation.steady import (
-    AUTONOMOUS,
-    LOW,
-    MEAN,
-    SCREEN,
-    R,
-    coarse,
-    grid_of_pairs,
-    points,
-    survey,
-)
+from trustlab.allocation.steady import SCREEN, grid_of_pairs, survey
 from trustlab.models.checks import between, not_negative, of_class, open_unit, positive
 from trustlab.models.compiled import njit
 from trustlab.models.display import Result
@@ -324,13 +313,21 @@ def _best_thresholds(
     low, high = sorted([limits.lower, limits.upper])
     margin = 0.01 * max(high - low, 1e-6)
     pairs = grid_of_pairs(low + margin, high - margin, 40)
-    screened = points(survey(coarse([tsc]), pairs, SCREEN), [tsc], weight)[0]
-    followed = []
-    for k in np.argsort(-np.nan_to_num(screened, nan=-np.inf), kind="stable"):
-        motion = survey([tsc], pairs[k : k + 1])
-        if motion[0, 0, AUTONOMOUS:, LOW].min() >= least and motion[0, 0, R, MEAN] <= limit:
-            followed.append((float(points(motion, [tsc], weight).item()), tuple(pairs[k].tolist())))
-        if len(followed) == FOLLOWED:
+    ranked = _by_points(survey([tsc], pairs, SCREEN), weight)[["lower", "upper"]].to_numpy()
+    able = pd.DataFrame()
+    for first in range(0, len(ranked), FOLLOWED):
+        motions = survey([tsc], ranked[first : first + FOLLOWED])
+        dwells = motions[["dwell_manual_low", "dwell_autonomous_low"]].min(axis=1)
+        able = pd.concat([able, motions[(dwells >= least) & (motions["mean_r"] <= limit)]])
+        if len(able) >= FOLLOWED:
             break
-    value, best = max(followed, key=itemgetter(0), default=(np.nan, None))
-    return best, value
+    if able.empty:
+        return None, np.nan
+    best = _by_points(able, weight).iloc[0]
+    return (float(best["lower"]), float(best["upper"])), float(best["points"])
+
+
+def _by_points(motions: pd.DataFrame, weight: float) -> pd.DataFrame:
+    """Return motions with the points that they earn, the best first."""
+    points = weight * motions["robot_points"] + (1.0 - weight) * motions["human_points"]
+    return motions.assign(points=points).sort_values("points", ascending=False, kind="stable")

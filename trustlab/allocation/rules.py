@@ -87,9 +87,7 @@ class ThresholdRule:
         ValueError
             If TSC is not a finite number, or what was assigned is no rule; the mode stays.
         """
-        numbers = type(self.lower) is type(self.upper) is float
-        if not (numbers and self.lower < self.upper and self.mode in (0, 1)):
-            self.__post_init__()
+        self.__post_init__()
         tsc = finite_number("tsc, which rule (2.8) needs,", tsc)
         self.mode = int(threshold_mode(tsc, self.lower, self.upper, self.mode))
         return self.mode

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable
+from dataclasses import astuple
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -148,7 +149,7 @@ def simulate_allocation(
     if type(rule) is ThresholdRule:
         return run_model(tsc, steps, start, (rule.lower, rule.upper, -1.0))
     if type(rule) is PerformanceRule:
-        return run_model(tsc, steps, start, (rule.p_min, rule.p_max, rule.tolerance))
+        return run_model(tsc, steps, start, astuple(rule))
     asked = itertools.count()
 
     def decide(now: np.void, inputs: np.ndarray) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,26 +13,34 @@ import pandas as pd
 from trustlab.models.checks import in_order, of_class
 from trustlab.models.compiled import njit
 from trustlab.models.display import Result, axes_or_new
-from trustlab.models.tsc import TscConstants, TscModel, advance, human_at, tsc_at
+from trustlab.models.tsc import (
+    TscConstants,
+    TscModel,
+    advance,
+    human_at,
+    threshold_mode,
+    tsc_at,
+)
 
 # Most samples that one model is simulated for: some seconds.
 EFFORT = 100_000_000
 
-# Rows of a motion; each has its least and greatest value and its mean.
-R, P_R, P_H, TSC, AUTONOMOUS, MANUAL = range(6)
+# Rows of a motion, dwell times by mode last; each has its least and greatest value and its mean.
+ROWS = "r", "p_r", "p_h", "tsc", "dwell_autonomous", "dwell_manual"
+DWELL = 4
 LOW, HIGH, MEAN = range(3)
+COLUMNS = [column for row in ROWS for column in (f"{row}_low", f"{row}_high", f"mean_{row}")]
 
 # Time constants of the slower process after which a phase counts as endless: e⁻⁵⁰ is left.
 ENDLESS = 50.0
 
-# Time constants that are left to settle, and cycles that are recorded then: of one pair of
-# thresholds, of many, and of many under many models, to be screened.
-ALONE = 30.0, 300
-EXACT = 20.0, 100
-SCREEN = 7.0, 4
+# Time constants that are left to settle, cycles that are recorded then, and samples to the quicker
+# time constant, to which the sample time is stretched: of one pair of thresholds, of many, and of
+# many under many models, to be screened.
+ALONE, EXACT, SCREEN = (30.0, 300, math.inf), (20.0, 100, math.inf), (7.0, 4, 50.0)
 
-# Samples per time constant of the quicker process that screening keeps.
-QUICK = 50
+# From which states motions begin: β where TSC meets TSC_l, and rest.
+BOTH = False, True
 
 # Difference of the ranges of utilization from which on two motions count as two.
 COEXIST = 1e-3
@@ -46,10 +55,10 @@ def _seen(row, value):
 
 
 @njit
-def steady_motion(c, lower, upper, rested, settle, cycles, most, rows):
+def steady_motion(c, lower, upper, rested, settle, cycles, most):
     """
-    Follow (2.8) in the manual mode from rest, or from β where TSC meets TSC_l, and fill the rows of
-    its motion.
+    Follow (2.8) in the manual mode from rest, or from β where TSC meets TSC_l, and return the rows
+    of its motion.
 
     After `settle` samples, as many `cycles` are recorded; rows are NaN where a mode stays for
     `most` samples.
@@ -57,122 +66,93 @@ def steady_motion(c, lower, upper, rested, settle, cycles, most, rows):
     r, p_r = c.beta, (lower + c.b_T * human_at(c.beta, c)) / c.a_T
     if rested:
         r, p_r = 0.0, c.p_r_min
+    rows = np.zeros((6, 3))
     rows[:, LOW], rows[:, HIGH] = np.inf, -np.inf
-    rows[:, MEAN] = 0.0
-    done = 0
-    samples = 0
-    recorded = 0
-    while recorded < cycles:
-        recording = done >= settle
-        for mode in (1, 0):
+    done, dwell, samples = 0, 0, 0
+    recorded = -1  # whole cycles; −1 while the motion settles
+    mode = 1
+    while dwell <= most:
+        p_h = human_at(r, c)
+        tsc = tsc_at(p_r, p_h, c)
+        before = mode
+        mode = threshold_mode(tsc, lower, upper, mode)
+        if mode != before:
+            if recorded >= 0:
+                _seen(rows[DWELL + before], dwell)
             dwell = 0
-            while True:
-                p_h = human_at(r, c)
-                tsc = tsc_at(p_r, p_h, c)
-                # A phase that begins lasts a sample; the run itself may begin beyond TSC_u.
-                if (dwell > 0 or done == 0) and (tsc >= upper if mode == 1 else tsc <= lower):
-                    break
-                if dwell == most:
-                    rows[:] = np.nan
-                    return
-                if recording:
-                    _seen(rows[R], r)
-                    _seen(rows[P_R], p_r)
-                    _seen(rows[P_H], p_h)
-                    _seen(rows[TSC], tsc)
-                    samples += 1
-                r, p_r = advance(r, p_r, p_h, float(mode), c)
-                dwell += 1
-            done += dwell
-            if recording:
-                _seen(rows[AUTONOMOUS + mode], dwell)
-        recorded += recording
-    rows[:AUTONOMOUS, MEAN] /= samples
-    rows[AUTONOMOUS:, MEAN] /= recorded
+            if mode == 1 and done >= settle:
+                recorded += 1
+            if recorded == cycles:
+                rows[:DWELL, MEAN] /= samples
+                rows[DWELL:, MEAN] /= cycles
+                return rows
+        if recorded >= 0:
+            for row, value in enumerate((r, p_r, p_h, tsc)):
+                _seen(rows[row], value)
+            samples += 1
+        r, p_r = advance(r, p_r, p_h, float(mode), c)
+        done += 1
+        dwell += 1
+    return np.full((6, 3), np.nan)
 
 
-def longest_phase(tsc: TscModel) -> int:
+def slowest(c: TscConstants) -> float:
+    """Return the time constant of the slower process, in samples."""
+    return -1.0 / math.log(max(c.a_r, c.a_pr))
+
+
+def longest_phase(c: TscConstants) -> int:
     """Return after how many samples a phase counts as endless."""
-    slowest = max(tsc.robot.time_constant, tsc.human.time_constant)
-    if not ENDLESS * slowest < EFFORT:
+    if not ENDLESS * slowest(c) < EFFORT:
         raise ValueError(
-            f"the model's time constant of {slowest:.3g} samples is too long: 50 of them are "
+            f"the model's time constant of {slowest(c):.3g} samples is too long: 50 of them are "
             f"simulated sample by sample, at most {EFFORT:.0e} samples; describe the model at a "
             "longer sample time (a^m for both a, and b_pr accordingly)"
         )
-    return int(ENDLESS * slowest) + 100
-
-
-def coarse(models: list[TscModel]) -> list[TscModel]:
-    """Return models at sample times as many times as long as QUICK allows."""
-    longer = []
-    for tsc in models:
-        times = max(1, int(min(tsc.robot.time_constant, tsc.human.time_constant) / QUICK))
-        a = tsc.robot.a**times
-        robot = replace(tsc.robot, a=a, b=tsc.robot.b * (1.0 - a) / (1.0 - tsc.robot.a))
-        longer.append(TscModel(robot, replace(tsc.human, a=tsc.human.a**times)))
-    return longer
+    return int(ENDLESS * slowest(c)) + 100
 
 
 def survey(
-    models: list[TscModel],
-    pairs: np.ndarray,
-    lengths: tuple[float, int] = EXACT,
-    rested: bool = False,
-) -> np.ndarray:
+    models: Iterable[TscModel],
+    pairs: np.ndarray | list,
+    lengths: tuple[float, int, float] = EXACT,
+    starts: tuple[bool, ...] = (False,),
+) -> pd.DataFrame:
     """
-    Return the motions of models under pairs of thresholds, shape (models, pairs, 6, 3).
+    Return the motions of models under pairs of thresholds: a row for each model, pair and start.
 
-    Rows are r, P_r, P_h, TSC and the dwell times in either mode [samples], columns least, greatest
-    and mean; NaN where a mode stays for ever. All begin in the manual mode, at β where TSC meets
-    TSC_l, or `rested` at r = 0 and P_r,min. `lengths` are time constants left to settle, and cycles
-    recorded.
+    Columns are the number of the `model`, the thresholds, COLUMNS (NaN where a mode stays for ever;
+    dwell times in samples), whether the rule keeps switching, `p_switches`, and utilization
+    encloses β, `p_encloses`, probabilities once they are averaged over models, `off_beta`, how far
+    utilization stays from β, and `robot_points` and `human_points`, mean performance in points of
+    (2.39): per cent of its range.
     """
-    motions = np.empty((len(models), len(pairs), 6, 3))
-    for tsc, rows in zip(models, motions, strict=True):
-        most = longest_phase(tsc)
-        settle = lengths[0] * max(tsc.robot.time_constant, tsc.human.time_constant)
-        for pair, motion in zip(pairs.tolist(), rows, strict=True):
-            steady_motion(tsc.constants(), *pair, rested, settle, lengths[1], most, motion)
-    return motions
-
-
-def from_both_starts(
-    models: list[TscModel], pair: tuple[float, float], lengths: tuple[float, int] = EXACT
-) -> np.ndarray:
-    """Return the motions of models under one pair, from β and from rest: (2, models, 1, 6, 3)."""
-    pairs = np.array([pair])
-    return np.array([survey(models, pairs, lengths, rested) for rested in (False, True)])
-
-
-def stacked(models: list[TscModel]) -> TscConstants:
-    """Return the constants of models, each an array of shape (models, 1)."""
-    return TscConstants(*np.transpose([tsc.constants() for tsc in models])[:, :, None])
-
-
-def encloses_beta(motions: np.ndarray, models: list[TscModel]) -> np.ndarray:
-    """Return whether steady utilization encloses β, by model and pair."""
-    beta = stacked(models).beta
-    return (motions[..., R, LOW] <= beta) & (beta <= motions[..., R, HIGH])
-
-
-def points(motions: np.ndarray, models: list[TscModel], weight: float) -> np.ndarray:
-    """
-    Return weight · robot performance + (1 − weight) · human performance, by model and pair.
-
-    Both are means over the motion, in points of (2.39): per cent of their ranges.
-    """
-    c = stacked(models)
-    of_robot = (motions[..., P_R, MEAN] - c.p_r_min) / (c.p_r_max - c.p_r_min)
-    of_human = (motions[..., P_H, MEAN] - c.p_h_min) / (c.p_h_max - c.p_h_min)
-    return 100.0 * (weight * of_robot + (1.0 - weight) * of_human)
+    rows = []
+    settle, cycles, quick = lengths
+    for number, tsc in enumerate(models):
+        c = tsc.constants()
+        times = max(1, int(-1.0 / math.log(min(c.a_r, c.a_pr)) / quick))
+        kept = c.a_pr**times
+        gain = c.b_pr * ((1.0 - kept) / (1.0 - c.a_pr))
+        c = c._replace(a_r=c.a_r**times, a_pr=kept, b_pr=gain)
+        follow = settle * slowest(c), cycles, longest_phase(c)
+        for lower, upper in np.asarray(pairs).tolist():
+            for rested in starts:
+                motion = steady_motion(c, lower, upper, rested, *follow)
+                (low, high, _), (*_, p_r), (*_, p_h) = motion[:3]
+                verdicts = low <= high, low <= c.beta <= high, max(low - c.beta, c.beta - high)
+                of_robot = (p_r - c.p_r_min) / (c.p_r_max - c.p_r_min)
+                of_human = (p_h - c.p_h_min) / (c.p_h_max - c.p_h_min)
+                points = 100.0 * of_robot, 100.0 * of_human
+                rows.append((number, lower, upper, *motion.ravel(), *verdicts, *points))
+    seen = "p_switches", "p_encloses", "off_beta", "robot_points", "human_points"
+    return pd.DataFrame(rows, columns=["model", "lower", "upper", *COLUMNS, *seen])
 
 
 def grid_of_pairs(low: float, high: float, count: int) -> np.ndarray:
     """Return every pair of a grid between two limits, lower below upper."""
     grid = np.linspace(low, high, count)
-    first, second = np.triu_indices(count, 1)
-    return np.column_stack([grid[first], grid[second]])
+    return np.column_stack([grid[side] for side in np.triu_indices(count, 1)])
 
 
 # --- one pair of thresholds -----------------------------------------------------------------------
@@ -185,14 +165,6 @@ QUANTITIES = {
     "dwell time manual": "dwell_manual",
     "dwell time autonomous": "dwell_autonomous",
 }
-
-
-def ends(**ranges: Any) -> dict[str, Any]:
-    """Return the fields of `SteadyRanges` from the ranges by name."""
-    fields: dict[str, Any] = {}
-    for name, (low, high) in ranges.items():
-        fields |= {f"{name}_low": float(low), f"{name}_high": float(high)}
-    return fields
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -260,10 +232,8 @@ class SteadyRanges(Result):
             Index `quantity` (r, P_r, TSC, dwell time manual, dwell time autonomous); columns low,
             high.
         """
-        ends = {
-            end: [getattr(self, f"{name}_{end}") for name in QUANTITIES.values()]
-            for end in ("low", "high")
-        }
+        names = QUANTITIES.values()
+        ends = {end: [getattr(self, f"{name}_{end}") for name in names] for end in ("low", "high")}
         return pd.DataFrame(ends, index=pd.Index(QUANTITIES, name="quantity"))
 
 
@@ -324,7 +294,7 @@ class LimitCycle(SteadyRanges):
         ):
             p_r = (threshold + model.b_T * model.human.performance(r)) / model.a_T
             axes.plot(r, p_r, "--", label=f"{label} = {threshold:g}")
-        settled = longest_phase(model)
+        settled = longest_phase(model.constants())
         run = simulate_allocation(model, self.lower, self.upper, 2 * settled, r0=0.1)
         axes.plot("r", "p_r", data=run.iloc[: settled // 2], lw=0.6, label="from near rest")
         if self.exists:
@@ -376,31 +346,26 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
     """
     of_class("tsc", tsc, TscModel)
     lower, upper = in_order("lower", lower, "upper", upper)
-    motions = from_both_starts([tsc], (lower, upper), ALONE)[:, 0, 0]
-    motions = motions[~np.isnan(motions[:, R, LOW])]
+    motions = survey([tsc], [(lower, upper)], ALONE, BOTH).to_dict("records")
+    going = [motion for motion in motions if motion["p_switches"]]
     endless = endless_phase(tsc, lower, upper)
-    pair: Any = {"model": tsc, "lower": lower, "upper": upper}
-    if len(motions) == 0:
-        return LimitCycle(exists=False, reason=endless, **pair)
+    ranges: Any = {"model": tsc, "lower": lower, "upper": upper}
+    if not going:
+        return LimitCycle(exists=False, reason=endless, **ranges)
     reason = "keeps switching" + (f"; but {endless}" if endless else "")
-    if np.ptp(motions[:, R, :MEAN], axis=0).max() > COEXIST:
+    if np.ptp([(motion["r_low"], motion["r_high"]) for motion in going], axis=0).max() > COEXIST:
         reason += "; from rest it settles to another motion than from β, and ranges enclose both"
-    rows = np.column_stack([motions[:, :, LOW].min(axis=0), motions[:, :, HIGH].max(axis=0)])
+    for name in QUANTITIES.values():
+        ranges[f"{name}_low"] = min(motion[f"{name}_low"] for motion in going)
+        ranges[f"{name}_high"] = max(motion[f"{name}_high"] for motion in going)
     return LimitCycle(
         exists=True,
-        always=len(motions) == 2 and not endless,
+        always=len(going) == 2 and not endless,
         reason=reason,
-        encloses_beta=bool(encloses_beta(motions, [tsc]).all()),
-        mean_r=float(motions[0, R, MEAN]),
-        mean_p_r=float(motions[0, P_R, MEAN]),
-        **pair,
-        **ends(
-            r=rows[R],
-            p_r=rows[P_R],
-            tsc=rows[TSC],
-            dwell_manual=rows[MANUAL],
-            dwell_autonomous=rows[AUTONOMOUS],
-        ),
+        encloses_beta=all(motion["p_encloses"] for motion in going),
+        mean_r=going[0]["mean_r"],
+        mean_p_r=going[0]["mean_p_r"],
+        **ranges,
     )
 
 

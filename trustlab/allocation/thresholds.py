@@ -11,21 +11,12 @@ import pandas as pd
 from trustlab.allocation.invariant import InvariantBounds, invariant_bounds
 from trustlab.allocation.limits import ThresholdLimits, limits_as_printed, threshold_limits
 from trustlab.allocation.steady import (
+    BOTH,
     EXACT,
-    HIGH,
-    LOW,
-    MEAN,
-    P_R,
     SCREEN,
     LimitCycle,
-    R,
-    coarse,
-    encloses_beta,
-    from_both_starts,
     grid_of_pairs,
     limit_cycle,
-    points as points_of,
-    stacked,
     survey,
 )
 from trustlab.identification.posterior.density import SHARED, physical
@@ -42,14 +33,14 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.display import Result, axes_or_new
-from trustlab.models.tsc import TscModel
+from trustlab.models.tsc import TscConstants, TscModel
 
 # Draws of a posterior by which pairs are screened, and pairs that are then followed sample by
 # sample, with all draws, until one keeps its promise.
 SCREENED = 200
 FOLLOWED = 6
 
-# How many of the best pairs are looked at under more data.
+# How many of the best pairs are looked at under more data, at most.
 NEAREST = 20
 
 # Draws of a posterior over which a table gives medians, and the ends of its intervals.
@@ -59,8 +50,18 @@ ENDS = {"": 0.5, "_ci_low": 0.025, "_ci_high": 0.975}
 # How many times as much data are considered where no pair is probable enough.
 LONGER = (2, 4, 8, 16)
 
-COLUMNS = ["lower", "upper", "p_switches", "p_encloses", "mean_r", "p_r_high", "mean_p_r"]
-COLUMNS += ["objective", "off_beta"]
+PAIR = ["lower", "upper"]
+COLUMNS = ["p_switches", "p_encloses", "mean_r", "p_r_high", "mean_p_r", "objective", "off_beta"]
+
+# What is asked of a pair: a column of a survey, and words.
+ENCLOSING = "p_encloses", "keeps switching around β"
+SWITCHING = "p_switches", "keeps switching"
+
+OF_A_FIT = "for the estimate alone (trustlab.sample_posterior gives a probability)"
+UNSURE = (
+    "The fit has success = False: {} With posterior = trustlab.sample_posterior(sessions), "
+    "choose_thresholds(posterior) offers thresholds with a probability, or says what to record. {}"
+)
 
 OBJECTIVES = {"peak": "highest robot performance", "mean": "greatest mean robot performance"}
 
@@ -89,9 +90,9 @@ class ThresholdChoice(Result):
     limits : ThresholdLimits
         TSC_lb and TSC_ub that the search kept to, medians over a posterior's draws.
     candidates : pandas.DataFrame
-        All pairs that were tried: lower, upper, p_switches, p_encloses, and means over the models
-        that keep switching of mean_r, p_r_high, mean_p_r, objective and off_beta, how far
-        utilization stays from β; negative where it encloses β.
+        All pairs that were tried, the best first: lower, upper, p_switches, p_encloses, and means
+        over the models that keep switching of mean_r, p_r_high, mean_p_r, objective and off_beta,
+        how far utilization stays from β; negative where it encloses β.
     tsc : TscModel or Posterior
         What they were chosen for; of a fit its model.
     """
@@ -256,61 +257,49 @@ def choose_thresholds(
             "does not; trustlab.sample_posterior gives a probability"
         )
     asked = 0.95 if confidence is None else open_unit("confidence", confidence)
-    source: Any = tsc.model if isinstance(tsc, FitResult) else tsc
+    fit = tsc if isinstance(tsc, FitResult) else None
+    source: Any = fit.model if fit else tsc
     models = source.models if of_posterior else [of_class("tsc", source, TscModel)]
     limits, reason = _room(models, not_negative("delta_p_h", delta_p_h))
     lower = upper = probability = np.nan
-    message, around, table = "", 0.0, pd.DataFrame(columns=COLUMNS, dtype=float)
+    message, around, table = "", 0.0, pd.DataFrame(columns=PAIR + COLUMNS, dtype=float)
     if not reason:
         off = share * (limits.upper - limits.lower)
         pairs = grid_of_pairs(limits.lower + off, limits.upper - off, count)
-        table = _screened(coarse(models[:SCREENED]) if of_posterior else models, pairs, objective)
-        order, count = _order(table, asked, enclose)
-        lower, upper, probability, around = _followed(models, pairs[order[:count]], asked, enclose)
-        around_beta = "keeps switching around β" if enclose else "keeps switching"
+        aim, goal = ENCLOSING if enclose else SWITCHING
+        motions = survey(models[:SCREENED], pairs, SCREEN if of_posterior else EXACT)
+        table = _ranked(motions, objective, asked, aim)
+        lower, upper, probability, around = _followed(models, table, asked, aim)
         if probability < asked:
-            reason = f"no pair between {pairs.min():.3f} and {pairs.max():.3f} {around_beta}"
+            reason = f"no pair between {pairs.min():.3f} and {pairs.max():.3f} {goal}"
             if of_posterior:
                 reason += f" with probability {asked:g}; the nearest does with {probability:.2f}. "
-                reason += _what_would_help(source, pairs[order[:NEAREST]], asked, enclose)
+                reason += _what_would_help(source, table, asked, aim)
             elif enclose:
-                reason += _nearest(limit_cycle(source, lower, upper))
+                reason += _how_near(limit_cycle(source, lower, upper))
         else:
-            sure = "for exactly this model"
+            sure = "for exactly this model" if fit is None else OF_A_FIT
             if of_posterior:
                 sure = f"with probability {probability:.2f} (asked for: {asked:g})"
-            elif isinstance(tsc, FitResult):
-                sure = "for the estimate alone (trustlab.sample_posterior gives a probability)"
             best = OBJECTIVES.get(str(objective), "greatest weighted performance")
             message = (
-                f"Thresholds {lower:.3f} and {upper:.3f}: the rule {around_beta} {sure}; of the "
-                f"pairs that do they reach the {best}. Limits: {limits.message}."
+                f"Thresholds {lower:.3f} and {upper:.3f}: the rule {goal} {sure}; of the pairs "
+                f"that do they reach the {best}. Limits: {limits.message}."
             )
             message += _beside_theorem_1(models, lower, upper)
-            if around < asked:
-                message += " Utilization does not enclose β."
+            message += " Utilization does not enclose β." * (around < asked)
     if reason:
         message = f"No thresholds: {reason}"
-    if isinstance(tsc, FitResult):
-        probability, message = np.nan, _doubt(tsc) + message
-    if around < asked or (isinstance(tsc, FitResult) and not tsc.success):
+    if fit:
+        probability = np.nan
+        message = message if fit.success else UNSURE.format(fit.message, message)
+    if around < asked or (fit and not fit.success):
         warn(message)
     decided = lower, upper, probability, bool(around >= asked), message, reason
     return ThresholdChoice(*decided, limits, table, source)
 
 
-def _doubt(fit: FitResult) -> str:
-    """Say first that a fit is not to be used, where it is not."""
-    if fit.success:
-        return ""
-    return (
-        f"The fit has success = False: {fit.message} With posterior = "
-        "trustlab.sample_posterior(sessions), choose_thresholds(posterior) offers thresholds with "
-        "a probability, or says what to record. "
-    )
-
-
-def _nearest(cycle: LimitCycle) -> str:
+def _how_near(cycle: LimitCycle) -> str:
     """Say how near the nearest pair comes to β, and what may help."""
     return (
         f" = {cycle.model.human.beta:.3g}; under the nearest utilization stays within "
@@ -334,74 +323,51 @@ def _beside_theorem_1(models: list[TscModel], lower: float, upper: float) -> str
 # --- the search -----------------------------------------------------------------------------------
 
 
-def _holds(motions: np.ndarray, models: list[TscModel], enclose: bool) -> np.ndarray:
-    """Return whether models do what is asked, by model and pair."""
-    return encloses_beta(motions, models) if enclose else ~np.isnan(motions[..., R, LOW])
-
-
-def _screened(models: list[TscModel], pairs: np.ndarray, objective: str | float) -> pd.DataFrame:
-    """Return means over models of what pairs of thresholds lead to."""
-    motions = survey(models, pairs, SCREEN if len(models) > 1 else EXACT)
-    beta = stacked(models).beta
-    value = motions[..., P_R, HIGH]
-    if objective != "peak":
-        value = points_of(motions, models, 1.0 if objective == "mean" else float(objective))
-    columns = {
-        "p_switches": _holds(motions, models, False),
-        "p_encloses": _holds(motions, models, True),
-        "mean_r": motions[..., R, MEAN],
-        "p_r_high": motions[..., P_R, HIGH],
-        "mean_p_r": motions[..., P_R, MEAN],
-        "objective": value,
-        "off_beta": np.maximum(motions[..., R, LOW] - beta, beta - motions[..., R, HIGH]),
-    }
-    means = {name: pd.DataFrame(values).mean() for name, values in columns.items()}
-    return pd.DataFrame({"lower": pairs[:, 0], "upper": pairs[:, 1], **means})
-
-
-def _order(table: pd.DataFrame, asked: float, enclose: bool) -> tuple[np.ndarray, int]:
+def _ranked(motions: pd.DataFrame, objective: str | float, asked: float, aim: str) -> pd.DataFrame:
     """
-    Return which pairs are best, those that do what is asked, else those nearest to it, and how many
-    of them to follow.
+    Return means over models of what pairs lead to, the best pair first: of those that do what is
+    asked, then of those nearest to it.
     """
-    share = table["p_encloses" if enclose else "p_switches"]
-    able = share >= asked
-    first = table["objective"].where(able, share)
+    weight = 1.0 if isinstance(objective, str) else objective
+    points = weight * motions["robot_points"] + (1.0 - weight) * motions["human_points"]
+    motions["objective"] = motions["p_r_high"] if objective == "peak" else points
+    table = motions.groupby(PAIR)[COLUMNS].mean().reset_index()
+    able = table[aim] >= asked
+    first = table["objective"].where(able, table[aim])
     second = table["mean_p_r"].where(able, -table["off_beta"])
-    return np.lexsort((-second, -first, ~able)), FOLLOWED if able.any() else 1
+    return table.iloc[np.lexsort((-second, -first, ~able))].reset_index(drop=True)
 
 
 def _followed(
-    models: list[TscModel], pairs: np.ndarray, asked: float, enclose: bool
+    models: list[TscModel], table: pd.DataFrame, asked: float, aim: str
 ) -> tuple[float, float, float, float]:
     """
     Return the first pair that does what is asked, else the most probable, how probable that is, and
     that utilization encloses β; decided sample by sample, from β and from rest, for all models.
     """
+    count = FOLLOWED if table[aim][0] >= asked else 1
     tried = []
-    for lower, upper in pairs.tolist():
-        motions = from_both_starts(models, (lower, upper))
-        holds, around = (
-            float(_holds(motions, models, each).all(axis=0).mean()) for each in (enclose, True)
-        )
-        tried.append((lower, upper, holds, around))
-        if holds >= asked:
+    for pair in table[PAIR].to_numpy()[:count]:
+        motions = survey(models, [pair], starts=BOTH)
+        shares = motions.groupby("model")[["p_switches", "p_encloses"]].all().mean()
+        tried.append((*pair.tolist(), float(shares[aim]), float(shares["p_encloses"])))
+        if shares[aim] >= asked:
             break
     return max(tried, key=itemgetter(2))
 
 
-def _what_would_help(posterior: Posterior, pairs: np.ndarray, asked: float, enclose: bool) -> str:
+def _what_would_help(posterior: Posterior, table: pd.DataFrame, asked: float, aim: str) -> str:
     """Say how much longer to record, as if draws came nearer to their mean."""
     blocks = posterior.target.blocks
     minutes = blocks.measured.shape[1] * blocks.samples * blocks.step / 60.0
     thetas = posterior.thetas[:SCREENED]
     apart = (thetas - thetas.mean(axis=0))[:, :SHARED]
+    pairs = table[PAIR][:NEAREST]
     for times in LONGER:
         nearer = thetas.copy()
         nearer[:, :SHARED] -= (1.0 - times**-0.5) * apart
-        models = coarse(tsc_models(physical(nearer, 0.1)))
-        holds = _holds(survey(models, pairs, SCREEN), models, enclose)
-        if holds.mean(axis=0).max() >= asked:
+        motions = survey(tsc_models(physical(nearer, 0.1)), pairs, SCREEN)
+        if motions.groupby(PAIR)[aim].mean().max() >= asked:
             return f"Record about {times} times as much: {minutes * times:.0f} minutes."
     return (
         f"More than {LONGER[-1]} times these {minutes:.0f} minutes would be needed: record phases "
@@ -411,7 +377,7 @@ def _what_would_help(posterior: Posterior, pairs: np.ndarray, asked: float, encl
 
 def _room(models: list[TscModel], delta: float) -> tuple[ThresholdLimits, str]:
     """Return the limits, medians over the models, and why they leave no room, if they do."""
-    c = stacked(models)
+    c = TscConstants(*np.transpose([tsc.constants() for tsc in models]))
     ends = limits_as_printed(c, delta)
     lower, upper = (float(np.median(end)) for end in ends)
     limits = ThresholdLimits(lower, upper, delta)

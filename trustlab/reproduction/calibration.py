@@ -30,16 +30,16 @@ from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import between, in_order, one_of, shown, whole_number
 from trustlab.models.display import Result
 from trustlab.models.files import write_atomically
+from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.reproduction.effects import (
+    EVERY_ASSUMPTION,
     TELEOPERATION,
     UNITS,
-    Effect,
-    all_checked,
     effects_of,
     simulated_effects,
 )
 
-# Ranges of the uniform priors. Learning and fatigue cancel in a balanced design and are left out.
+# Ranges of the uniform priors.
 PRIORS = {
     "attention_cost": (0.0, 0.3),
     "trust_bias": (-0.4, 0.4),
@@ -92,21 +92,21 @@ class Calibration(Result):
     measures: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        known = tuple(dict.fromkeys(effect.measure for effect in self.observed))
+        known = tuple(self.observed["measure"].unique())
         for name in self.measures:
             one_of("a measure", name, known)
         self.__dict__["measures"] = self.measures or known
 
     @property
-    def observed(self) -> list[Effect]:
-        """The printed effects that simulated studies have."""
-        return [effect for effect in observed_effects(self.study) if effect.id in self.simulations]
+    def observed(self) -> pd.DataFrame:
+        """The printed effects that simulated studies have, a row each."""
+        printed = observed_effects(self.study)
+        return printed[printed["id"].isin(self.simulations.columns)]
 
     def _beside(self, measures: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Return the simulated effects, a row each study, and the printed ones of some measures."""
-        chosen = [effect for effect in self.observed if effect.measure in measures]
-        simulated = self.simulations[[effect.id for effect in chosen]].to_numpy(float)
-        return simulated, np.array([effect.printed for effect in chosen])
+        chosen = self.observed[self.observed["measure"].isin(measures)]
+        return self.simulations[chosen["id"]].to_numpy(float), chosen["printed"].to_numpy()
 
     @cached_property
     def _sampled(self) -> tuple[pd.DataFrame, np.ndarray]:
@@ -151,15 +151,13 @@ class Calibration(Result):
         Return assumption, prior_low, prior_high, median, low, high (95 %), contraction (1 −
         variance over the prior's), extrapolated.
         """
-        low, high = np.transpose(list(self.priors.values()))
-        ends = self.posterior.quantile([0.5, 0.025, 0.975]).T.to_numpy()
-        table = pd.DataFrame(
-            {"assumption": list(self.priors), "prior_low": low, "prior_high": high}
-        )
-        table[["median", "low", "high"]] = ends
-        table["contraction"] = 1.0 - 12.0 * self.posterior.var().to_numpy() / (high - low) ** 2
-        table["extrapolated"] = table["assumption"].isin(self.extrapolated)
-        return table
+        table = pd.DataFrame(self.priors, index=["prior_low", "prior_high"]).T
+        ends = self.posterior.quantile([0.5, 0.025, 0.975]).T
+        table[["median", "low", "high"]] = ends.to_numpy()
+        spread = 12.0 * self.posterior.var() / (table["prior_high"] - table["prior_low"]) ** 2
+        table["contraction"] = 1.0 - spread
+        table["extrapolated"] = table.index.isin(self.extrapolated)
+        return table.rename_axis("assumption").reset_index()
 
     def given(self, *measures: str) -> "Calibration":
         """
@@ -234,7 +232,14 @@ class Calibration(Result):
             f"{share:g}"
         )
 
-    def checks(self, studies: int = 40, seed: int = 1, *, n_jobs: int = 1) -> pd.DataFrame:
+    def checks(
+        self,
+        studies: int = 40,
+        seed: int = 1,
+        *,
+        people: pd.DataFrame | None = None,
+        n_jobs: int = 1,
+    ) -> pd.DataFrame:
         """
         Return every effect beside what simulated studies give, under the prior and under the
         posterior.
@@ -246,6 +251,8 @@ class Calibration(Result):
             many as it has draws.
         seed : int
             Of these.
+        people : pandas.DataFrame, optional
+            Assumptions to draw from in place of the posterior, a row each.
         n_jobs : int
             Processes, as for `run_campaign`; no effect on results.
 
@@ -259,21 +266,27 @@ class Calibration(Result):
             Effects that no study simulated under the posterior has are left out.
         """
         seed = whole_number("seed", seed, least=0)
-        studies = whole_number("studies", studies, most=len(self.posterior))
-        drawn = self.posterior.sample(studies, random_state=seed).to_dict("records")
+        people = self.posterior if people is None else people
+        studies = whole_number("studies", studies, most=len(people))
+        drawn = people.sample(studies, random_state=seed).to_dict("records")
         runs = [{"study": self.study, "n": self.settings["n"]} | row for row in drawn]
         done = run_campaign(simulated_study, runs, seed=seed, progress=False, n_jobs=n_jobs)
-        rows = []
-        for effect in self.observed:
-            if done[effect.id].isna().all():
-                continue
-            prior = self.simulations[effect.id].min(), self.simulations[effect.id].max()
-            low, high = done[effect.id].astype(float).quantile([0.025, 0.975])
-            reached = prior[0] <= effect.high and effect.low <= prior[1]
-            predicted = low <= effect.high and effect.low <= high
-            rows.append((effect.id, effect.printed, *prior, reached, low, high, predicted))
-        names = ["id", "printed", "prior_low", "prior_high", "reached", "low", "high", "predicted"]
-        return pd.DataFrame(rows, columns=names)
+        effects = self.observed.set_index("id")
+        effects = effects[done[effects.index].notna().any()]
+        prior = self.simulations[effects.index].agg(["min", "max"]).to_numpy()
+        predicted = done[effects.index].astype(float).quantile([0.025, 0.975]).to_numpy()
+        reached, met = (
+            (low <= effects["high"]) & (effects["low"] <= high) for low, high in (prior, predicted)
+        )
+        table = effects[["printed"]].assign(
+            prior_low=prior[0],
+            prior_high=prior[1],
+            reached=reached,
+            low=predicted[0],
+            high=predicted[1],
+            predicted=met,
+        )
+        return table.reset_index()
 
 
 def calibrate(
@@ -345,11 +358,11 @@ def calibrate(
     done = run_campaign(simulated_study, runs, seed=seed, n_jobs=n_jobs, out=out, progress=progress)
     whole = done[~done["failed"].to_numpy(bool)]
     # questionnaires are not answered under all assumptions
-    ids = [effect.id for effect in effects if whole[effect.id].notna().any()]
+    ids = [id for id in effects["id"] if whole[id].notna().any()]
     whole = whole.dropna(subset=ids).reset_index(drop=True)
     _check_enough(len(whole), len(ids))
-    settings = {"n": n, "seed": seed, "simulations": simulations}
-    settings |= {"left_out": simulations - len(whole)}
+    left_out = simulations - len(whole)
+    settings = {"n": n, "seed": seed, "simulations": simulations, "left_out": left_out}
     return Calibration(study, ranges, whole[[*ranges, *ids]].astype(float), settings)
 
 
@@ -428,7 +441,7 @@ def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple
             raise ValueError(f"the prior of {name} must be two numbers, got {shown(pair)}")
         ranges[name] = in_order(f"the low end of {name}", pair[0], "its high end", pair[1])
     for end in (0, 1):
-        all_checked({name: pair[end] for name, pair in ranges.items()})
+        checked_assumptions({name: pair[end] for name, pair in ranges.items()}, EVERY_ASSUMPTION)
     return ranges
 
 
@@ -449,7 +462,7 @@ def simulated_study(
 ) -> dict[str, float]:
     """Simulate one study and return its effects by id: a task of `run_campaign`."""
     frame = simulated_effects(assumptions, n, int(seed.generate_state(1)[0]), only=study)
-    return {row.id: row.simulated for row in frame.itertuples() if not np.isnan(row.printed)}
+    return frame.dropna(subset="printed").set_index("id")["simulated"].to_dict()
 
 
 def posterior_sample(
@@ -479,19 +492,17 @@ def posterior_sample(
     scale = np.maximum(simulated.std(axis=0), 1e-12)
     # the observed effects are at zero, so that the first coefficients are what is expected there
     design = np.column_stack([np.ones(len(theta)), (simulated - observed) / scale])
-    basis, sizes, turn = np.linalg.svd(design, full_matrices=False)
     # effects that are sums of others add nothing
-    rank = int(np.sum(sizes > 1e-10 * sizes[0]))
-    basis, inverse = basis[:, :rank], (turn[:rank].T / sizes[:rank])
-    fitted = basis @ (basis.T @ theta)
-    expected = inverse[0] @ (basis.T @ theta)
-    leverage = np.minimum((basis**2).sum(axis=1), 1.0 - eps)
+    inverse = np.linalg.pinv(design, rcond=1e-10)
+    coefficients = inverse @ theta
+    fitted, expected = design @ coefficients, coefficients[0]
+    leverage = np.minimum((design * inverse.T).sum(axis=1), 1.0 - eps)
     residuals = (theta - fitted) / np.sqrt(1.0 - leverage)[:, None]
     sample = expected + np.sqrt(1.0 + inverse[0] @ inverse[0]) * residuals
     beyond = (fitted.min(axis=0) > expected) | (fitted.max(axis=0) < expected)
     return pd.DataFrame(low + (high - low) * special.ndtr(sample), columns=drawn.columns), beyond
 
 
-def observed_effects(study: str) -> list[Effect]:
+def observed_effects(study: str) -> pd.DataFrame:
     """Return the effects of a study whose size is printed."""
-    return [effect for effect in effects_of(study, "study") if not np.isnan(effect.printed)]
+    return effects_of(study, "study").dropna(subset="printed")

@@ -5,9 +5,9 @@ predict, and in simulated people under named assumptions about them.
 
 import math
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,7 +16,7 @@ from scipy import special
 from trustlab.allocation.rules import PerformanceRule
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import one_of, shown, whole_number
+from trustlab.models.checks import one_of, whole_number
 from trustlab.operators.answers import simulated_answers
 from trustlab.operators.ground_robot import ASSUMPTIONS, checked_assumptions
 from trustlab.operators.teleoperator import TELEOPERATOR_ASSUMPTIONS
@@ -31,75 +31,45 @@ from trustlab.testbeds.uav_tracking import simulate_teleoperation
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
-
-class Effect(NamedTuple):
-    """One effect: a difference of two conditions' means, in the unit of the measure."""
-
-    id: str
-    where: str
-    measure: str
-    contrast: str
-    printed: float
-    low: float
-    high: float
-    p: float
-    study: str
-
-    @property
-    def conditions(self) -> tuple[str, str]:
-        """The condition that is compared, and the one that it is compared with."""
-        after, _, before = self.contrast.partition("-")
-        return after, before
-
-
 # What every table of effects begins with.
-COLUMNS = list(Effect._fields[:-1])
+COLUMNS = ["id", "where", "measure", "contrast", "printed", "low", "high", "p"]
 
 
 @cache
-def effects() -> tuple[Effect, ...]:
-    """Return all effects that data/published/effects.toml lists."""
-    listed = published_facts("effects")
-    return (
-        *(effect for table in listed["tables"] for effect in _of_table(**table)),
-        *(effect for study in listed["studies"] for effect in _of_study(**study)),
-        *(_claimed(**claim) for claim in listed["claims"]),
-    )
+def _effects() -> pd.DataFrame:
+    """Return all effects that data/published/effects.toml lists, and of which study they are."""
+    listed = pd.DataFrame(_listed(**published_facts("effects")), columns=[*COLUMNS, "study"])
+    listed["id"] += "/" + listed["measure"] + "/" + listed["contrast"]
+    return listed
 
 
-def _sized(
-    where: str, measure: str, contrast: str, means: Mapping[str, str], p: float, study: str
-) -> Effect:
-    """Return the effect of two printed means, and its ends within their rounding."""
+def _listed(tables: list[dict], studies: list[dict], claims: list[dict]) -> Iterator[tuple]:
+    for table in tables:
+        name, where = table["study"], f"Table {table['table']}"
+        for measure, column in table["measures"].items():
+            means = published_table(table["table"])[column]
+            for contrast in table["contrasts"]:
+                yield (name, where, measure, contrast, *_sized(means, contrast), math.nan, name)
+    for each in studies:
+        study, name = published_studies()[each["name"]], each["name"].partition(".")[0]
+        for contrast in each["contrasts"]:
+            about = study.where, each["measure"], contrast
+            turned = "-".join(reversed(contrast.split("-")))
+            printed = {**study.t_test, **study.pairs}
+            text = printed.get(turned) or printed.get(contrast) or printed.get("p", "nan")
+            p = float(text.removeprefix("<"))
+            yield (name, *about, *_sized(study.mean, contrast), p, name)
+    for claim in claims:
+        about = claim["where"], claim["measure"], claim["contrast"]
+        ends = sorted((0.0, claim["sign"] * math.inf))
+        yield (claim["id"], *about, math.nan, *ends, math.nan, claim["study"])
+
+
+def _sized(means: Mapping[str, str], contrast: str) -> tuple[float, float, float]:
+    """Return the difference of two printed means, and its ends within their rounding."""
     after, before = (means[condition] for condition in contrast.split("-"))
     (low, high), (lowest, highest) = printed_interval(after), printed_interval(before)
-    exact = float(printed_decimal(after) - printed_decimal(before))
-    ends = low - highest, high - lowest
-    return Effect(f"{study}/{measure}/{contrast}", where, measure, contrast, exact, *ends, p, study)
-
-
-def _of_table(
-    table: str, study: str, measures: dict[str, str], contrasts: list[str]
-) -> Iterator[Effect]:
-    for measure, column in measures.items():
-        means = published_table(table)[column]
-        for contrast in contrasts:
-            yield _sized(f"Table {table}", measure, contrast, means, math.nan, study)
-
-
-def _of_study(name: str, measure: str, contrasts: list[str]) -> Iterator[Effect]:
-    study = published_studies()[name]
-    for contrast in contrasts:
-        after, before = contrast.split("-")
-        text = study.pairs.get(f"{before}-{after}") or study.pairs.get(contrast)
-        p = float((text or study.t_test.get("p", "nan")).removeprefix("<"))
-        yield _sized(study.where, measure, contrast, study.mean, p, name.partition(".")[0])
-
-
-def _claimed(id: str, where: str, measure: str, contrast: str, sign: int, study: str) -> Effect:
-    ends = (0.0, math.inf) if sign > 0 else (-math.inf, 0.0)
-    about = f"{id}/{measure}/{contrast}", where, measure, contrast
-    return Effect(*about, math.nan, *ends, math.nan, study)
+    return float(printed_decimal(after) - printed_decimal(before)), low - highest, high - lowest
 
 
 def printed_effects() -> pd.DataFrame:
@@ -122,12 +92,14 @@ def printed_effects() -> pd.DataFrame:
     >>> effect[["printed", "low", "high"]].astype(float).round(2).tolist()
     [-3.61, -3.62, -3.6]
     """
-    return pd.DataFrame([effect[: len(COLUMNS)] for effect in effects()], columns=COLUMNS)
+    return _effects()[COLUMNS].copy()
 
 
 FREE = "in C2 and C4 it depends on which suggestions people follow, which no model says"
 NO_MODEL = "no model of anyone in this study is printed"
 NOT_MODELLED = "(2.1)-(2.6) say nothing of this measure"
+# Why the models predict nothing of a study, where they do.
+WITHOUT = {"table_2.4": NOT_MODELLED, "table_2.5": "", "table_2.6": NOT_MODELLED}
 # Samples of the model's motion; the second half counts.
 STEPS = 200_000
 
@@ -156,18 +128,18 @@ def model_effects() -> pd.DataFrame:
     True
     """
     rows = []
-    for effect in effects():
-        reason, difference = "", np.array([math.nan])
-        if effect.study != "table_2.5":
-            reason = NOT_MODELLED if effect.study in ("table_2.4", "table_2.6") else NO_MODEL
-        elif set(effect.conditions) & {"C2", "C4"}:
+    for effect in _effects().itertuples():
+        conditions, difference = effect.contrast.split("-"), np.array([math.nan])
+        reason = WITHOUT.get(effect.study, NO_MODEL)
+        if not reason and {"C2", "C4"} & {*conditions}:
             reason = FREE
-        else:
-            after, before = (model_means(name)[effect.measure] for name in effect.conditions)
+        if not reason:
+            after, before = (model_means(name)[effect.measure] for name in conditions)
             difference = (after - before).to_numpy()
-        ends = difference.min(), difference.max()
-        rows.append((*effect[: len(COLUMNS)], difference.mean(), *ends, reason))
-    return pd.DataFrame(rows, columns=[*COLUMNS, "model", "model_low", "model_high", "reason"])
+        rows.append((difference.mean(), difference.min(), difference.max(), reason))
+    return printed_effects().join(
+        pd.DataFrame(rows, columns=["model", "model_low", "model_high", "reason"])
+    )
 
 
 @cache
@@ -175,21 +147,21 @@ def model_means(condition: str) -> pd.DataFrame:
     """
     Return mean p_r, p_h and r of the five participants' models under C1, C3 or C5: a row each.
     """
-    captured, chosen = published_table("2.3"), published_table("2.2")
-    rows = []
+    thresholds = {"C1": published_table("2.3").xs("mean", level=1), "C3": published_table("2.2")}
+    rows = {}
     for label in "12345":
         model = published_models()[label]
-        thresholds = captured.xs("mean", level=1) if condition == "C1" else chosen
         if condition == "C5":
             rule = PerformanceRule(model.robot.p_min, model.robot.p_max)
             motion = simulate_allocation(model, rule=rule, steps=STEPS)
         else:
-            lower, upper = (float(thresholds.loc[name, label]) for name in ("TSC_l", "TSC_u"))
+            lower, upper = thresholds[condition].loc[["TSC_l", "TSC_u"], label].astype(float)
             motion = simulate_allocation(model, lower, upper, steps=STEPS)
-        rows.append(motion[["p_r", "p_h", "r"]].iloc[STEPS // 2 :].mean())
-    return pd.DataFrame(rows, index=list("12345"), dtype=np.float64)
+        rows[label] = motion[["p_r", "p_h", "r"]].iloc[STEPS // 2 :].mean()
+    return pd.DataFrame(rows).T
 
 
+EVERY_ASSUMPTION = {**ASSUMPTIONS, **TELEOPERATOR_ASSUMPTIONS}
 # Testbeds of the studies under C1–C5.
 ALLOCATION = {
     "table_2.4": "ground_robot",
@@ -202,6 +174,13 @@ ALLOCATION = {
 TELEOPERATION = {
     "table_3.1": ("preliminary", ("M", "MI", "MMI", "TMIG", "TMIS"), 5),
     "teleop": ("main", ("M", "OMI", "MMI", "TMIG"), 7),
+}
+
+# The answers that each measure is the mean of.
+ANSWERED = {
+    "tlx": NASA_TLX.items,
+    "satisfaction": ("satisfaction", "comfort", "control"),
+    "trust": ("trust",),
 }
 
 SIMULATED = ["simulated", "se", "operators", "p_simulated", "agrees", "reason"]
@@ -279,126 +258,84 @@ def simulated_effects(
     >>> effects["id"].tolist()
     ['table_2.6/followed_percent/C2-C4']
     """
-    assumed = all_checked({} if assumptions is None else assumptions)
+    assumed = checked_assumptions(assumptions, EVERY_ASSUMPTION)
     n, seed = whole_number("n", n, least=3), whole_number("seed", seed, least=0)
-    measures: dict[str, pd.DataFrame] = {}
-    rows = []
-    for effect in effects_of(only):
-        place = ALLOCATION.get(effect.study, effect.study)
-        if place not in measures:
-            measures[place] = _measured(place, assumed, n, seed, trust, n_jobs)
-        rows.append((*effect[: len(COLUMNS)], *_compared(effect, measures[place])))
-    frame = pd.DataFrame(rows, columns=[*COLUMNS, *SIMULATED])
+    chosen = effects_of(only)
+    places = chosen["study"].replace(ALLOCATION)
+    measured = {
+        place: _measured(place, assumed, n, seed, trust, n_jobs) for place in places.unique()
+    }
+    rows = [
+        _compared(effect, measured[place])
+        for effect, place in zip(chosen.itertuples(), places, strict=True)
+    ]
+    frame = chosen[COLUMNS].reset_index(drop=True).join(pd.DataFrame(rows, columns=SIMULATED))
     frame["agrees"] = frame["agrees"].astype("boolean")
     frame.attrs = {"origin": "simulated operators", "assumptions": assumed, "n": n, "seed": seed}
     return frame
 
 
-def all_checked(assumptions: Mapping[str, float]) -> dict[str, float]:
-    """Return assumptions about operators of both chapters, each within its range."""
-    if not isinstance(assumptions, Mapping):
-        raise ValueError(f"assumptions must map names to numbers, got {shown(assumptions)}")
-    return checked_assumptions(assumptions, {**ASSUMPTIONS, **TELEOPERATOR_ASSUMPTIONS})
-
-
-def _among(names: Iterable[str], assumptions: Mapping[str, float]) -> dict[str, float]:
-    """Return the assumptions of these names."""
-    return {name: assumptions[name] for name in names if name in assumptions}
-
-
-def effects_of(study: str | None, name: str = "only") -> list[Effect]:
+def effects_of(study: str | None, name: str = "only") -> pd.DataFrame:
     """Return the effects of a study, of all studies on the ground robot, or all."""
+    listed = _effects()
     if study is None:
-        return list(effects())
-    one_of(name, study, [*dict.fromkeys([*ALLOCATION.values(), *ALLOCATION, *TELEOPERATION])])
-    return [effect for effect in effects() if study in (effect.study, ALLOCATION.get(effect.study))]
+        return listed
+    places = listed["study"].replace(ALLOCATION)
+    one_of(name, study, sorted({*places, *listed["study"]}))
+    return listed[(listed["study"] == study) | (places == study)]
 
 
 def _measured(
     place: str, assumed: dict[str, float], n: int, seed: int, trust: Any, n_jobs: int
 ) -> pd.DataFrame:
-    """Return a study's measures by participant (the operator's number) and condition."""
+    """Return a study's measures, a row per operator; columns are measure and condition."""
+    names = TELEOPERATOR_ASSUMPTIONS if place in TELEOPERATION else ASSUMPTIONS
+    assumptions = {name: value for name, value in assumed.items() if name in names}
     if place in TELEOPERATION:
-        population = TeleoperatorPopulation(TELEOPERATION[place][0])
-        people = population.draw(n, seed, _among(TELEOPERATOR_ASSUMPTIONS, assumed))
-        return _teleoperated(place, people, seed, trust, n_jobs)
+        people = TeleoperatorPopulation(TELEOPERATION[place][0]).draw(n, seed, assumptions)
+        task = partial(teleoperate, place=place, trust=trust, answers=seed)
+        done = run_campaign(
+            task, people.to_dict("records"), seed=seed, n_jobs=n_jobs, progress=False
+        )
+        flown = done[~done["failed"].to_numpy(bool)].filter(like="/")
+        return flown.set_axis(flown.columns.str.split("/", expand=True), axis=1)
     n = len(CONDITIONS) * math.ceil(n / len(CONDITIONS))
     with warnings.catch_warnings():
         # Carry-over, which half squares leave unbalanced, is not estimated.
         warnings.filterwarnings("ignore", f"{n} participants fill half")
         study = virtual_study(
-            n=n,
-            seed=seed,
-            testbed=place,
-            assumptions=_among(ASSUMPTIONS, assumed),
-            n_jobs=n_jobs,
-            progress=False,
+            n=n, seed=seed, testbed=place, assumptions=assumptions, n_jobs=n_jobs, progress=False
         )
     frame = study.measures.astype({"condition": str})
     if place == "ground_robot" and "satisfaction" in frame:
         frame["satisfaction"] = 1.0 + FIVE_POINTS * (frame["satisfaction"] - 1.0)
-    return frame
-
-
-def _teleoperated(
-    place: str, people: pd.DataFrame, seed: int, trust: Any, n_jobs: int
-) -> pd.DataFrame:
-    """Return error and answers of teleoperators under all schemes of a study of Chapter 3."""
-    study, schemes, points = TELEOPERATION[place]
-    fixed = {"study": study, "schemes": " ".join(schemes), "points": points, "answers": seed}
-    task = teleoperate if trust is None else partial(teleoperate, trust=trust)
-    plans = [fixed | row for row in people.to_dict("records")]
-    done = run_campaign(task, plans, seed=seed, n_jobs=n_jobs, progress=False)
-    done = done[~done["failed"].to_numpy(bool)]
-    names = ["error", "tlx", "satisfaction", "trust"]
-    flown = [
-        done[["participant", *(f"{scheme}/{name}" for name in names)]]
-        .set_axis(["participant", *names], axis=1)
-        .assign(condition=scheme)
-        for scheme in schemes
-    ]
-    return pd.concat(flown)
+    return frame.pivot(index="participant", columns="condition")  # noqa: PD010 (no repeats)
 
 
 def teleoperate(
-    study: str,
-    schemes: str,
-    points: int,
-    answers: int,
-    seed: np.random.SeedSequence,
-    trust: Any = None,
-    **person: Any,
+    place: str, answers: int, seed: np.random.SeedSequence, trust: Any = None, **person: Any
 ) -> dict[str, float]:
     """Fly all schemes on one path and answer after each: a task of `run_campaign`."""
     operator = TeleoperatorPopulation.person(person)
+    study, schemes, points = TELEOPERATION[place]
     measures: dict[str, float] = {}
-    for scheme in schemes.split():
+    for scheme in schemes:
         session = simulate_teleoperation(scheme, operator, study, seed=seed, trust=trust)
+        measures[f"error/{scheme}"] = float(session["path_error"].mean())
         answered = simulated_answers(session, study, int(person["participant"]), answers, points)
-        measures |= {
-            f"{scheme}/error": float(session["path_error"].mean()),
-            f"{scheme}/tlx": float(np.mean([answered[scale] for scale in NASA_TLX.items])),
-            f"{scheme}/satisfaction": float(
-                np.mean([answered[item] for item in ("satisfaction", "comfort", "control")])
-            ),
-            f"{scheme}/trust": answered["trust"],
-        }
+        for name, items in ANSWERED.items():
+            measures[f"{name}/{scheme}"] = float(np.mean([answered[item] for item in items]))
     return measures
 
 
-def _compared(
-    effect: Effect, measures: pd.DataFrame
-) -> tuple[float, float, int, float, object, str]:
+def _compared(effect: Any, measured: pd.DataFrame) -> tuple[float, float, int, float, Any, str]:
     """Return mean difference, standard error, count, p, agreement, and why there is none."""
-    count, reason = 0, SILENT
-    if effect.measure in measures:
-        names = {"index": "participant", "columns": "condition", "values": effect.measure}
-        wide = measures.pivot(**names)  # noqa: PD010 (a repeat is an error)
-        after, before = wide.reindex(columns=effect.conditions).T.to_numpy(float)
-        difference = pd.Series(after - before).dropna()
-        count = len(difference)
-        reason = f"only {count} operators have the measure in both conditions" if count < 3 else ""
-    if reason:
+    pair = [(effect.measure, condition) for condition in effect.contrast.split("-")]
+    difference = measured.reindex(columns=pair).astype(float).diff(-1, axis=1).iloc[:, 0].dropna()
+    count = difference.size
+    if count < 3:
+        reason = f"only {count} operators have the measure in both conditions"
+        reason = reason if effect.measure in measured else SILENT
         return math.nan, math.nan, count, math.nan, pd.NA, reason
     mean, se = float(difference.mean()), float(difference.sem())
     p = float(2.0 * special.stdtr(count - 1, -abs(mean) / se)) if se > 0.0 else math.nan

@@ -12,9 +12,9 @@ from trustlab.models.checks import of_class, one_of, spawned, whole_number
 from trustlab.models.display import Result
 from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.fitting import CRITERIA, TrustFit, fitted, model_class
-from trustlab.trust.interface import LEAST, TrustDynamics
+from trustlab.trust.interface import TrustDynamics
 from trustlab.trust.likelihood import cell, predict, simulate_ratings
-from trustlab.trust.panel import Panel
+from trustlab.trust.panel import Panel, panel_until
 
 # Of every person: squared errors, less is better; log score in nats a rating, more is better; log
 # loss of reliance in nats a decision, less is better; ratings within the 90 % interval.
@@ -65,10 +65,9 @@ class TrustComparison(Result):
             so far), log_score, reliance_loss, coverage (of 90 % intervals).
         """
         means = self.scores.groupby(["split", "model"], sort=False)[list(MEASURES)].mean()
-        means = means.reset_index()
-        for name in ("free", "step"):
-            means[f"{name}_error"] = np.sqrt(means[f"{name}_error"])
-        return means.rename(columns={"free_error": "free_rmse", "step_error": "step_rmse"})
+        errors = list(MEASURES[:2])
+        means[errors] = np.sqrt(means[errors])
+        return means.reset_index().rename(columns=lambda name: name.replace("error", "rmse"))
 
     def paired(self, against: str | None = None) -> pd.DataFrame:
         """
@@ -85,32 +84,27 @@ class TrustComparison(Result):
             Columns split, measure, model, difference (of squared errors, not of their roots), se,
             ci_low, ci_high (Student's t over people), people.
         """
-        names = list(dict.fromkeys(self.scores["model"]))
-        reference = one_of("against", against or self.against, names)
-        rows = []
-        for split, scores in self.scores.groupby("split", sort=False):
-            for measure in MEASURES[:4]:
-                wide = scores.pivot_table(measure, "person", "model", dropna=False)
-                for name in names:
-                    apart = (wide[name] - wide[reference]).dropna()
-                    if name != reference and apart.size > 1:
-                        half = special.stdtrit(apart.size - 1, 0.975) * apart.sem()
-                        ends = apart.mean() - half, apart.mean() + half
-                        row = (apart.mean(), apart.sem(), *ends, apart.size)
-                        rows.append((split, measure, name, *row))
-        columns = ["split", "measure", "model", "difference", "se", "ci_low", "ci_high", "people"]
-        return pd.DataFrame(rows, columns=columns)
+        reference = one_of("against", against or self.against, self.scores["model"].unique())
+        long = self.scores.melt(["split", "person", "model"], MEASURES[:4], "measure", "score")
+        wide = long.pivot_table("score", ["split", "measure", "person"], "model", sort=False)
+        apart = wide.drop(columns=reference).sub(wide[reference], axis=0)
+        values = apart.stack()  # noqa: PD013 (melting would lose the order)
+        table = values.groupby(["split", "measure", "model"], sort=False)
+        table = table.agg(difference="mean", se="sem", people="size").query("people > 1")
+        table = table.loc[list(self.scores["split"].unique())]
+        half = special.stdtrit(table["people"] - 1, 0.975) * table["se"]
+        table.insert(2, "ci_low", table["difference"] - half)
+        table.insert(3, "ci_high", table["difference"] + half)
+        return table.reset_index()
 
 
 def named_models(models: Models) -> dict[str, type[TrustDynamics]]:
     """Return classes by name: all models and baselines when none are chosen."""
     if models is None:
         return MODELS | BASELINES
-    if isinstance(models, Mapping):
-        return {str(name): model_class(model) for name, model in models.items()}
-    chosen = [model_class(model) for model in models]
-    names = [m if isinstance(m, str) else m.__name__ for m in models]
-    return dict(zip(names, chosen, strict=True))
+    if not isinstance(models, Mapping):
+        models = {getattr(model, "__name__", model): model for model in models}
+    return {str(name): model_class(model) for name, model in models.items()}
 
 
 def compare_trust_models(
@@ -173,19 +167,20 @@ def compare_trust_models(
     order = np.random.default_rng(spawned(seed, 1)[0]).permutation(len(panel))
     groups = np.array_split(order, folds)
     later = panel.trials - panel.trials // 3
-    # What is fitted, up to which event, and what is scored after it.
-    splits: list[tuple[str, Panel, int | None, Panel]] = [
-        ("people", panel.of(np.setdiff1d(order, group)), None, panel.of(group)) for group in groups
+    # What is fitted, what is scored, and after which event.
+    splits = [
+        ("people", panel.of(np.setdiff1d(order, group)), panel.of(group), 0) for group in groups
     ]
-    splits += [("last third", panel, later, panel)] if later < panel.trials else []
+    splits += (
+        [("last third", panel_until(panel, later), panel, later)] if later < panel.trials else []
+    )
     # Where all people are fitted best is a good place to start from, and nothing more.
     starts = {name: fitted(panel, model, free=free).coordinates for name, model in chosen.items()}
     tables = []
-    for split, seen, until, unseen in splits:
+    for split, seen, unseen, since in splits:
         for name, model in chosen.items():
-            fit = fitted(seen, model, free=free, until=until, start=starts[name])
-            scores = _scores(fit, unseen, until or 0)
-            tables.append(scores.assign(split=split, model=name))
+            fit = fitted(seen, model, free=free, start=starts[name])
+            tables.append(_scores(fit, unseen, since).assign(split=split, model=name))
     scores = pd.concat(tables, ignore_index=True)[["split", "model", "person", *MEASURES]]
     return TrustComparison(scores, against, panel.source, panel.cautions)
 
@@ -203,7 +198,7 @@ def _scores(fit: TrustFit, panel: Panel, since: int) -> pd.DataFrame:
     values = {
         "free_error": np.square(free.mean - actual),
         "step_error": np.square(steps.mean - actual),
-        "log_score": np.log(np.maximum(steps.probability(panel), LEAST)),
+        "log_score": np.log(steps.probability(panel)),
         "reliance_loss": -special.log_expit(-odds) - panel.events.followed * odds,
         "coverage": np.where(np.isnan(actual), np.nan, np.transpose(inside)),
     }
@@ -219,8 +214,7 @@ def _in_central_interval(rating: Any, actual: np.ndarray, resolution: float) -> 
     low, high = cell(actual, resolution)
     inner = np.isfinite(low) & np.isfinite(high)
     low, high = np.where(inner, actual, low), np.where(inner, actual, high)
-    lowest = np.full(actual.size, -np.inf)
-    return (rating.mass(lowest, low) <= 0.95) & (rating.mass(lowest, high) >= 0.05)
+    return (rating.mass(-np.inf, low) <= 0.95) & (rating.mass(-np.inf, high) >= 0.05)
 
 
 def recover_trust_models(

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import between, of_class, positive
+from trustlab.models.checks import Checked, Positive, Share
 from trustlab.models.trust import TrustModel
 from trustlab.trust.interface import Event, TrustDynamics
 
 
 @dataclass(frozen=True)
-class TrustInLoop:
+class TrustInLoop(Checked):
     """
     A model of trust in place of (3.2) in `TeleoperationLoop(trust=…)`, or of (4.1) in a team.
 
@@ -39,13 +39,8 @@ class TrustInLoop:
     """
 
     model: TrustDynamics
-    every: float = 1.0
-    start: float = 0.5
-
-    def __post_init__(self):
-        of_class("model", self.model, TrustDynamics, "see trustlab.trust.MODELS")
-        positive("every", self.every)
-        between("start", self.start, 0.0, 1.0)
+    every: Positive = 1.0
+    start: Share = 0.5
 
     @classmethod
     def of(cls, trust: Any) -> Any:
@@ -104,9 +99,7 @@ class TrustCourse:
         self._model = driver.model
         self._samples = max(round(driver.every / sample_time), 1)
         self._belief: Any = driver.model.start(np.array([driver.start]))
-        self._total = 0.0
-        self._judged = 0
-        self._passed = 0
+        self._trial: list[float] = []
 
     def step(self, performance: float) -> float:
         """
@@ -117,17 +110,13 @@ class TrustCourse:
         performance : float
             From 0 to 1, or NaN where there is nothing to judge by: a trial of nothing else is none.
         """
-        self._passed += 1
-        if np.isfinite(performance):
-            self._total += performance
-            self._judged += 1
-        if self._passed == self._samples:
-            if self._judged:
-                event = Event(p_r=np.array([self._total / self._judged]))
+        self._trial.append(performance)
+        if len(self._trial) == self._samples:
+            judged = [each for each in self._trial if np.isfinite(each)]
+            self._trial.clear()
+            if judged:
+                event = Event(p_r=np.array([sum(judged) / len(judged)]))
                 self._belief = self._model.step(self._belief, event)
                 expected = float(self._model.rating(self._belief).mean[0])
                 self.share = min(max(expected, 0.0), 1.0)
-            self._total = 0.0
-            self._judged = 0
-            self._passed = 0
         return self.share

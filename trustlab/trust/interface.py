@@ -1,5 +1,6 @@
 """What every model of trust has in common: events, beliefs about trust, ratings that follow."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple
 
@@ -65,12 +66,12 @@ class NormalRating(NamedTuple):
         low, high : array_like, shape (N,)
             Ends, 0 to 1; beyond the scale they may be infinite.
         """
-        below, above = (low - self.mean) / self.sd, (high - self.mean) / self.sd
         # Differences of probabilities near 1 lose digits: the upper tail is turned over.
-        turned = below > 0.0
-        first = np.where(turned, -above, below)
-        second = np.where(turned, -below, above)
-        return scipy.special.ndtr(second) - scipy.special.ndtr(first)
+        sign = np.where(low > self.mean, -1.0, 1.0)
+        below, above = (
+            scipy.special.ndtr(sign * (end - self.mean) / self.sd) for end in (low, high)
+        )
+        return np.abs(above - below)
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         """
@@ -81,7 +82,7 @@ class NormalRating(NamedTuple):
         rng : numpy.random.Generator
             Where it is drawn from.
         """
-        return self.mean + self.sd * rng.standard_normal(np.shape(self.mean))
+        return rng.normal(self.mean, self.sd)
 
 
 class BetaRating(NamedTuple):
@@ -111,10 +112,9 @@ class BetaRating(NamedTuple):
         low, high : array_like, shape (N,)
             Ends, 0 to 1; beyond the scale they may be infinite.
         """
-        low, high = np.clip(low, 0.0, 1.0), np.clip(high, 0.0, 1.0)
-        return scipy.special.betainc(self.alpha, self.beta, high) - scipy.special.betainc(
-            self.alpha, self.beta, low
-        )
+        ends = np.clip(low, 0.0, 1.0), np.clip(high, 0.0, 1.0)
+        below, above = (scipy.special.betainc(self.alpha, self.beta, end) for end in ends)
+        return above - below
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         """
@@ -138,13 +138,13 @@ class GridRating(NamedTuple):
         Probabilities.
     bins : numpy.ndarray, shape (bins,)
         Trust in the middle of each.
-    sd : numpy.ndarray, shape (N,)
+    sd : float or numpy.ndarray, shape (N,)
         Standard deviation of a rating about trust.
     """
 
     weights: np.ndarray
     bins: np.ndarray
-    sd: np.ndarray
+    sd: Any
 
     @property
     def mean(self) -> np.ndarray:
@@ -160,9 +160,8 @@ class GridRating(NamedTuple):
         low, high : array_like, shape (N,)
             Ends, 0 to 1; beyond the scale they may be infinite.
         """
-        at = [np.asarray(end)[..., None] for end in (low, high)]
-        sd = np.asarray(self.sd)[..., None]
-        return (self.weights * NormalRating(self.bins, sd).mass(*at)).sum(axis=-1)
+        low, high, sd = (np.asarray(each)[..., None] for each in (low, high, self.sd))
+        return (self.weights * NormalRating(self.bins, sd).mass(low, high)).sum(axis=-1)
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         """
@@ -173,9 +172,8 @@ class GridRating(NamedTuple):
         rng : numpy.random.Generator
             Where it is drawn from.
         """
-        reached = np.cumsum(self.weights, axis=-1) < rng.random(len(self.weights))[:, None]
-        trust = self.bins[np.minimum(reached.sum(axis=-1), self.bins.size - 1)]
-        return trust + self.sd * rng.standard_normal(trust.shape)
+        passed = np.cumsum(self.weights[:, :-1], axis=-1) < rng.random((len(self.weights), 1))
+        return rng.normal(self.bins[passed.sum(axis=-1)], self.sd)
 
 
 def parameter(default: float, low: float, high: float) -> Any:
@@ -192,10 +190,10 @@ def parameter(default: float, low: float, high: float) -> Any:
     Examples
     --------
     >>> import trustlab as tl
-    >>> tl.trust.parameter(0.2, 0.0, 1.0).metadata["high"]
-    1.0
+    >>> tl.trust.parameter(0.2, 0.0, 1.0).metadata["range"]
+    (0.2, 0.0, 1.0)
     """
-    return field(default=default, metadata={"low": low, "high": high})
+    return field(default=default, metadata={"range": (default, low, high)})
 
 
 @dataclass(frozen=True)
@@ -208,8 +206,11 @@ class TrustDynamics:
     arrays, too: people who differ.
     """
 
+    how_to_get: ClassVar[str] = "see trustlab.trust.MODELS"
     title: ClassVar[str] = ""
-    contains_performance: ClassVar[bool] = False
+    # Makes the model that is (3.2) with these parameters, where (3.2) is a case of the model: a fit
+    # begins there, too.
+    as_performance: ClassVar[Callable[..., Any] | None] = None
 
     @property
     def name(self) -> str:
@@ -219,30 +220,12 @@ class TrustDynamics:
     @classmethod
     def parameters(cls) -> dict[str, tuple[float, float, float]]:
         """Return default, least and greatest value of every fitted parameter."""
-        ranges = {}
-        for item in fields(cls):
-            if item.metadata:
-                default: Any = item.default
-                ranges[item.name] = (default, item.metadata["low"], item.metadata["high"])
-        return ranges
+        return {each.name: each.metadata["range"] for each in fields(cls) if each.metadata}
 
     def __post_init__(self):
         for name, (_, low, high) in self.parameters().items():
             for value in np.ravel(getattr(self, name)):
                 between(name, value, low, high)
-
-    @classmethod
-    def as_performance(cls, fitted: Any) -> "TrustDynamics":
-        """
-        Return this model with the parameters that make it (3.2); a fit begins there, too, where
-        `contains_performance` says so.
-
-        Parameters
-        ----------
-        fitted : PerformanceTrust
-            (3.2).
-        """
-        raise NotImplementedError
 
     def start(self, rating) -> Any:
         """
@@ -304,9 +287,11 @@ class TrustDynamics:
         return self.rating(belief).mean
 
 
-def ranges_of(model: TrustDynamics | type[TrustDynamics]) -> np.ndarray:
-    """Return the least and greatest values of a model's parameters, shape (2, parameters)."""
-    return np.array(list(model.parameters().values())).reshape(-1, 3).T[1:]
+def _least_and_unit(model: TrustDynamics | type[TrustDynamics]) -> tuple[np.ndarray, ...]:
+    """Return the least values of parameters, the widths of ranges or 1, and which are finite."""
+    _, low, high = np.reshape(list(model.parameters().values()), (-1, 3)).T
+    finite = np.isfinite(high)
+    return low, np.where(finite, high, low + 1.0) - low, finite
 
 
 def values_at(model: type[TrustDynamics], coordinates: np.ndarray) -> np.ndarray:
@@ -314,28 +299,25 @@ def values_at(model: type[TrustDynamics], coordinates: np.ndarray) -> np.ndarray
     Return a model's parameters at coordinates without bounds, shape (…, parameters).
 
     A coordinate is the log odds within a finite range, and the logarithm of the distance from the
-    least value otherwise. Coordinates are clipped, so that no parameter reaches its bound.
+    least value otherwise.
     """
-    low, high = ranges_of(model)
-    x = np.clip(coordinates, -14.0, 14.0)
-    return low + np.where(np.isfinite(high), (high - low) * scipy.special.expit(x), np.exp(x))
+    low, unit, finite = _least_and_unit(model)
+    return low + unit * np.where(finite, scipy.special.expit(coordinates), np.exp(coordinates))
 
 
 def with_parameters(model: type[TrustDynamics], coordinates: np.ndarray) -> TrustDynamics:
     """Return a model at coordinates without bounds, shape (…, parameters)."""
-    rows = np.moveaxis(values_at(model, coordinates), -1, 0)
-    values = dict(zip(model.parameters(), rows, strict=True))
+    # Clipped, so that no parameter reaches its bound.
+    rows = np.moveaxis(values_at(model, np.clip(coordinates, -14.0, 14.0)), -1, 0)
     # Their ranges hold by construction: checks are for what a user types.
     made = model.__new__(model)
-    made.__dict__.update({item.name: item.default for item in fields(model)} | values)
+    made.__dict__.update(zip(model.parameters(), rows, strict=True))
     return made
 
 
 def coordinates_of(model: TrustDynamics) -> np.ndarray:
     """Return the coordinates of a model, as `values_at` takes them."""
-    low, high = ranges_of(model)
-    values = np.array([getattr(model, name) for name in model.parameters()], dtype=float)
-    share = np.clip((values - low) / (high - low), MARGIN, 1 - MARGIN)
-    return np.where(
-        np.isfinite(high), scipy.special.logit(share), np.log(np.maximum(values - low, MARGIN))
-    )
+    low, unit, finite = _least_and_unit(model)
+    share = (np.array([getattr(model, name) for name in model.parameters()]) - low) / unit
+    share = np.clip(share, MARGIN, np.where(finite, 1.0 - MARGIN, np.inf))
+    return np.where(finite, scipy.special.logit(share), np.log(share))

@@ -36,7 +36,9 @@ class Predictions(NamedTuple):
             for k, rating in enumerate(self.distributions)
         ]
         # Nobody asked: no probability, rather than one of whatever lies between NaN and NaN.
-        return np.where(np.isnan(panel.ratings[:, 1:]), np.nan, np.stack(cells, axis=1))
+        # What a model has lost costs the most: fmax takes LEAST beside NaN.
+        probability = np.fmax(np.stack(cells, axis=1), LEAST)
+        return np.where(np.isnan(panel.ratings[:, 1:]), np.nan, probability)
 
 
 def cell(rating: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray]:
@@ -76,14 +78,9 @@ def predict(model: TrustDynamics, panel: Panel, free: bool = False, known: int =
     return Predictions(distributions, preference)
 
 
-def log_likelihood(
-    model: TrustDynamics, panel: Panel, free: bool = False, until: int | None = None
-) -> np.ndarray:
-    """Return the log-likelihood of each person's ratings after the first, up to an event."""
-    logs = np.log(np.fmax(predict(model, panel, free).probability(panel), LEAST))
-    # fmax turns what is missing into LEAST: it adds nothing.
-    logs = np.where(np.isnan(panel.ratings[:, 1:]), 0.0, logs)
-    return logs[:, :until].sum(axis=1)
+def log_likelihood(model: TrustDynamics, panel: Panel, free: bool = False) -> np.ndarray:
+    """Return the log-likelihood of each person's ratings after the first."""
+    return np.nansum(np.log(predict(model, panel, free).probability(panel)), axis=1)
 
 
 def simulate_ratings(model: TrustDynamics, panel: Panel, rng: np.random.Generator) -> Panel:

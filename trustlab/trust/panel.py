@@ -60,10 +60,9 @@ class Panel:
         k : int
             The trial, from 0.
         """
-        signals = [signal[:, k] for signal in self.events]
-        absent = np.isnan(Event(*signals).dt)
-        nothing = Event(dt=0.0)
-        return Event(*map(np.where, [absent] * len(signals), nothing, signals))
+        absent = np.isnan(self.events.dt[:, k])
+        pairs = zip(Event(dt=0.0), self.events, strict=True)
+        return Event(*(np.where(absent, usual, signal[:, k]) for usual, signal in pairs))
 
     def of(self, rows) -> "Panel":
         """
@@ -78,6 +77,14 @@ class Panel:
         events = Event(*(signal[rows] for signal in self.events))
         people = tuple(self.people[i] for i in rows)
         return replace(self, people=people, events=events, ratings=self.ratings[rows])
+
+
+def panel_until(panel: Panel, event: int) -> Panel:
+    """Return a panel without the ratings and the reliance after an event, counted from 1."""
+    later = np.arange(panel.trials) >= event
+    ratings = np.where(np.append(False, later), np.nan, panel.ratings)
+    followed = np.where(later, np.nan, panel.events.followed)
+    return replace(panel, ratings=ratings, events=panel.events._replace(followed=followed))
 
 
 def panel_of(
@@ -107,20 +114,18 @@ def panel_of(
             raise ValueError(f"the table has no column {column!r} (there are {', '.join(table)})")
     table = table.rename(columns={column: signal for signal, column in columns.items()})
     span, (worst, best) = positive("high - low", high - low), performance
-    if not before:
-        first = table[["person"]].drop_duplicates().assign(trial=-np.inf)
-        table = pd.concat([first, table], ignore_index=True)
     # People stay in the order of the table, their trials are put in order.
-    table = table.assign(place=pd.factorize(table["person"])[0])
-    table = table.sort_values(["place", "trial"], kind="stable", ignore_index=True)
-    number = table.groupby("place").cumcount().rename("number")
+    person, people = pd.factorize(table["person"])
+    table = table.assign(person=person).sort_values("trial", kind="stable")
+    number = table.groupby("person").cumcount().rename("number") + (not before)
     signals = table.reindex(columns=["rating", *SIGNALS]).astype(float)
     signals["p_r"] = (signals["p_r"] - worst) / (best - worst)
     array_between("p_r", signals["p_r"].to_numpy()[number > 0], 0.0, 1.0, "performance")
     # A signal that is not in the table, or missing there, has its usual value.
     signals = signals.fillna(Event()._asdict())
     # Rows of people; NaN where a person has no such trial.
-    wide = signals.set_index([table["place"], number]).unstack()  # noqa: PD010 (no repeats)
+    wide = signals.set_index([table["person"], number]).unstack()  # noqa: PD010 (no repeats)
+    wide = wide.reindex(columns=pd.MultiIndex.from_product([signals, range(number.max() + 1)]))
     ratings = (wide["rating"].to_numpy() - low) / span
     outside = (ratings < 0.0) | (ratings > 1.0)
     if outside.any():
@@ -132,7 +137,7 @@ def panel_of(
         levels = np.unique(np.round(ratings[np.isfinite(ratings)], 9))
         resolution = float(np.diff(levels).min()) if levels.size > 1 else 0.01
     return Panel(
-        tuple(table["person"].unique()),
+        tuple(people),
         Event(*(wide[name].to_numpy()[:, 1:] for name in SIGNALS)),
         ratings,
         positive("resolution", resolution),

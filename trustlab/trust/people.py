@@ -95,14 +95,10 @@ def _hybrid(path: Path) -> Panel:
     for person in json.loads(text):
         signals = ("state", "robot_decision_making", "human_decision_making")
         state, advice, decision = (np.array(person[signal]) for signal in signals)
-        outcomes = {
-            "p_r": advice == state,
-            "p_h": decision == state,
-            "followed": advice == decision,
-        }
-        table = pd.DataFrame(outcomes, index=range(1, state.size + 1), dtype=float)
-        table = table.reindex(range(state.size + 1)).rename_axis("trial").reset_index()
-        tables.append(table.assign(person=person["human_id"], rating=person["trust"]))
+        seen = {"p_r": advice == state, "p_h": decision == state, "followed": advice == decision}
+        table = pd.DataFrame({name: np.append(np.nan, values) for name, values in seen.items()})
+        trial, who = table.index, person["human_id"]
+        tables.append(table.assign(person=who, trial=trial, rating=person["trust"]))
     source = f"Du and others 2026, {path.stem}, MIT"
     return panel_of(pd.concat(tables), resolution=0.01, source=source, cautions=(HYBRID,))
 

@@ -14,7 +14,7 @@ from scipy import stats
 import trustlab as tl
 from tests.identification.posterior import simulated_logs
 from trustlab.identification.log import read_runs
-from trustlab.identification.noise import filter_columns, process
+from trustlab.identification.noise import Noise, filter_columns, process, whiten
 from trustlab.identification.posterior import density as kernel
 from trustlab.identification.posterior.density import (
     as_prior,
@@ -58,17 +58,28 @@ def test_the_kalman_filter_gives_the_dense_density(seed):
     white, slow, seconds = np.exp(rng.normal([-5.0, -5.0, 1.0], 1.0))
     errors = 0.01 * rng.standard_normal(40)
     noise = process(white, slow, np.exp(-0.1 / seconds), 10)
-    covariance = dense_covariance(white, slow, seconds, 10, 40)
+    share = slow**2 / (white**2 + slow**2)
+    of_blocks = dense_covariance(white, slow, seconds, 10, 40)
+    of_samples = dense_covariance((1.0 - share) ** 0.5, share**0.5, seconds, 1, 40)
+
+    def density(covariance, known):
+        there = stats.multivariate_normal(cov=covariance[np.ix_(known, known)])
+        return there.logpdf(errors[known])
+
+    def density_of(scaled, logs, known):
+        return -0.5 * (logs + np.sum(scaled**2) + known.sum() * np.log(2.0 * np.pi))
 
     def density_by_filter(known, noise):
         scaled = np.empty((40, 1))
         logs = filter_columns(errors[:, None], known, noise, scaled)
-        return -0.5 * (logs + np.sum(scaled**2) + known.sum() * np.log(2.0 * np.pi))
+        return density_of(scaled, logs, known)
 
     for known in (np.ones(40, bool), rng.random(40) < 0.7):
-        there = stats.multivariate_normal(cov=covariance[np.ix_(known, known)])
-        expected = there.logpdf(errors[known])
+        expected = density(of_blocks, known)
         assert density_by_filter(known, noise) == pytest.approx(expected, rel=1e-9)
+        whitened = whiten(errors[:, None], known, Noise(share, np.exp(-0.1 / seconds)))
+        by_samples = pytest.approx(density(of_samples, known), rel=1e-9)
+        assert density_of(*whitened, known) == by_samples
         # Negative control: correlation within a block that is forgotten between blocks.
         apart = noise._replace(both=0.0)
         assert density_by_filter(known, apart) != pytest.approx(expected, rel=1e-6)
@@ -158,18 +169,6 @@ def test_a_delay_shifts_what_is_simulated():
             kernel.innovations(theta, blocks, means, errors)
             sizes.append(np.abs(errors).mean())
         assert sizes[0] < 0.25 * sizes[1]
-
-
-def test_windows_are_undone_before_means_are_taken():
-    rng = np.random.default_rng(10)
-    run = tl.published_models()["pilot"].simulate(simulated_logs.switching(rng, 3000), 0.1, 0.24)
-    noises = {"p_h": (0.003, 0.0, 1.0), "p_r": (0.003, 0.0, 1.0)}
-    made = {}
-    for window in (0.0, 100.0):
-        session = simulated_logs.with_noise(np.random.default_rng(1), run, noises, window)
-        runs = read_runs(session, "mode", "p_h", "p_r", log=tl.LogSettings())
-        made[window] = kernel.blocks_of(Problem(TSC, runs, TSC.limits(), unwindow=True)).measured
-    np.testing.assert_allclose(made[0.0], made[100.0], atol=1e-10)
 
 
 @pytest.mark.parametrize("window", [30, 31, 100, 1000])

@@ -3,6 +3,7 @@
 import http.client
 import json
 import warnings
+from contextlib import contextmanager
 from types import SimpleNamespace
 from urllib.parse import urlsplit
 
@@ -25,14 +26,10 @@ def ask(url, body=None, *, host=None, path=None, **headers):
     if body is not None:
         data = body if isinstance(body, bytes) else json.dumps(body).encode()
         own |= {"Content-Type": "application/json", "Origin": f"http://{place.netloc}"}
-        own["Content-Length"] = str(len(data))
     own |= {name.replace("_", "-"): value for name, value in headers.items()}
-    link.putrequest("GET" if data is None else "POST", path or place.path, skip_host=True)
-    for name, value in own.items():
-        if value is not None:
-            link.putheader(name, value)
+    sent = {name: value for name, value in own.items() if value is not None}
     try:
-        link.endheaders(data)
+        link.request("GET" if data is None else "POST", path or place.path, data, sent)
         answer = link.getresponse()
         content = answer.read()
     except (ConnectionError, http.client.HTTPException):
@@ -94,18 +91,65 @@ def make_plan(tmp_path):
 
 
 @pytest.fixture
-def served(make_plan):
-    """A small study that is being served: plan, server, and links by code."""
-    plan = make_plan()
-    with StudyServer(plan) as server:
-        yield SimpleNamespace(plan=plan, server=server, links=server.links(), base=server.base)
+def make_team_plan(tmp_path):
+    """A function that plans a rehearsal: two conditions, teams that are led for two seconds."""
+
+    def make(participants=2, **options):
+        conditions = ["by_hand", "most_trusted"]
+        options = {"duration": 2.0, "training": 1.0, "rehearsal": True, **options}
+        return tl.LiveStudy(tmp_path / "team", conditions, participants, task="team", **options)
+
+    return make
+
+
+class Served:
+    """A study that is being served, and what its people and the experimenter ask."""
+
+    def __init__(self, plan, server):
+        self.plan, self.server = plan, server
+        self.base, self.links = server.base, server.links()
+
+    def state(self, code="P01"):
+        return ask(f"{self.links[code]}/state")
+
+    def consent(self, code="P01", **headers):
+        answers = {"page": 0, "answers": {"consent": True}}
+        return ask(f"{self.links[code]}/answers", answers, **headers)
+
+    def withdraw(self, code="P01"):
+        return ask(f"{self.links[code]}/withdraw", {})
+
+    def act(self, action, **about):
+        act = {"participant": "P01", "action": action}
+        return ask(f"{self.server.experimenter}/act", act | about)
+
+    def overview(self):
+        return ask(f"{self.server.experimenter}/state").json
 
 
 @pytest.fixture
-def page(served, client):
+def serving():
+    """A function that serves a plan."""
+
+    @contextmanager
+    def begin(plan, *arguments, **options):
+        with StudyServer(plan, *arguments, **options) as server:
+            yield Served(plan, server)
+
+    return begin
+
+
+@pytest.fixture
+def served(make_plan, serving):
+    """A small study that is being served."""
+    with serving(make_plan()) as study:
+        yield study
+
+
+@pytest.fixture
+def page(served):
     """The first participant's page, which has consented and begun the training drive."""
-    link = served.links["P01"]
-    client(f"{link}/answers", {"page": 0, "answers": {"consent": True}})
-    begun = DrivingPage(link)
+    served.consent()
+    begun = DrivingPage(served.links["P01"])
     assert begun.begin()["k"] == 0
     return begun

@@ -167,6 +167,55 @@ def check_report(study, browser):
     assert str(study.plan.folder.parent) not in path.read_text()
 
 
+K = "(self.study.run?.state().have ?? -1)"
+
+
+def lead(page):
+    """Point to a place of the hand's square, choose robot 2, and return what the page says."""
+    until(page, f"{K} > 4")
+    box = page.locator("canvas.pad").bounding_box()
+    middle = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+    half = 0.35 * box["width"]
+    page.mouse.move(middle[0] + 0.9 * half, middle[1] - 0.5 * half)
+    page.keyboard.press("2")
+    until(page, f"{K} > 10")
+    return page.inner_text("#drive")
+
+
+def test_a_person_leads_a_team(tmp_path, browser):
+    """Oracle: where the mouse was, and the replay of the commands that were logged."""
+    settings = {"duration": 7.0, "training": 2.0, "goals": 2}
+    plan = tl.LiveStudy(tmp_path / "s", ["by_hand", "suggested"], 2, task="team", **settings)
+    said, number = [], -1
+    with StudyServer(plan) as server:
+        page = opened(browser.new_context(), server.links()["P01"])
+        number, kind = next_page(page)
+        while kind != "end":
+            go_on(page, kind, "fine")
+            if kind == "drive":
+                said.append(lead(page))
+                if len(said) == 2:
+                    page.reload()  # the run goes on behind the last command
+                    next_page(page, number - 1)
+                    go_on(page, "drive")
+                    lead(page)
+                until(page, "!document.querySelector('#drive')")
+            number, kind = next_page(page, number)
+        assert page.faults == []
+    for words in ("Goal 1 of 2", "Robot", "%"):
+        assert words in said[0]
+    study = tl.read_live_study(plan.folder)
+    assert study.measures["verified"].tolist() == [True, True]
+    assert study.measures["pauses"].max() >= 1, "the page was loaded again"
+    assert study.measures["period_median"].tolist() == pytest.approx([0.05, 0.05], abs=0.02)
+    for session in study.sessions():
+        assert session["leader_choice"].max() == 2
+        last = [session[f"pointer_{axis}"][-1] for axis in "xy"]
+        assert last == pytest.approx([0.9, 0.5], abs=0.02)
+    by_hand = next(s for s in study.sessions() if s.metadata.condition == "by_hand")
+    assert by_hand["leader"][-1] == 2, "from the end of the dwell time on"
+
+
 # what goes wrong
 # --------------------------------------------------------------------------------------------------
 
@@ -275,20 +324,19 @@ FRAMES = """() => {
 }"""
 
 
-def test_what_the_experimenter_does_reaches_the_page(served, browser, client):
+def test_what_the_experimenter_does_reaches_the_page(served, browser):
     page = driving(browser.new_context(), served.links["P01"])
-    act = f"{served.server.experimenter}/act"
-    client(act, {"participant": "P01", "action": "restart", "page": 1})
+    served.act("restart", page=1)
     until(page, "document.querySelector('main > button')?.textContent === 'Start'")
     rows = on_disk(served.plan)
     go_on(page, "drive")
     until(page, "self.study.rows > 5")
     assert on_disk(served.plan) == rows  # the first attempt stays as it was
-    client(act, {"participant": "P01", "action": "note", "text": ATTACK})
+    served.act("note", text=ATTACK)
     experimenter = opened(browser.new_context(), served.server.experimenter)
     until(experimenter, "document.body.innerText.includes('<script>')")
     assert experimenter.evaluate("window.fired === undefined && document.images.length === 0")
-    client(act, {"participant": "P01", "action": "end"})
+    served.act("end")
     until(page, "document.querySelector('h2')?.textContent === 'Thank you'")
     assert page.faults == []
 

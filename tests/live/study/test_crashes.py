@@ -17,7 +17,7 @@ from contextlib import suppress
 import pytest
 
 from trustlab.live.log import read_log
-from trustlab.live.study.plan import LiveStudy, file_origin, read_tokens
+from trustlab.live.study.plan import file_origin, read_tokens
 from trustlab.live.trial import read_record, stepped
 from trustlab.trust.dynamics import MODELS
 
@@ -119,8 +119,17 @@ def kills(plan, client, driving_page, count, seed, command):
     return made, acknowledged
 
 
-def check(plan, client, driving_page, count, seed, command=steered):
-    made, acknowledged = kills(plan, client, driving_page, count, seed, command)
+@pytest.mark.parametrize("count", [2, pytest.param(20, marks=pytest.mark.long)])
+@pytest.mark.parametrize("command", [steered, led])
+def test_kills_at_random_moments_lose_nothing(
+    make_plan, make_team_plan, client, driving_page, command, count
+):
+    if command is steered:
+        plan = make_plan(training=600.0)
+    else:  # with a model of trust of another kind than the printed one
+        trust = MODELS["asymmetric"]()
+        plan = make_team_plan(training=300.0, rehearsal=False, trust=trust)
+    made, acknowledged = kills(plan, client, driving_page, count, count, command)
     path = plan.folder / "P01" / "01-training.jsonl"
     record, _, fault = read_record(path, file_origin(plan.digest, "P01", path.stem))
     assert fault == ""
@@ -140,28 +149,3 @@ def check(plan, client, driving_page, count, seed, command=steered):
     kinds = [event["kind"] for event in events.entries if event["kind"] != "torn"]
     assert kinds == ["page", "begin"]
     assert len(record.pauses) == count
-
-
-def test_two_kills_lose_nothing(make_plan, client, driving_page):
-    check(make_plan(training=600.0), client, driving_page, 2, seed=1)
-
-
-def team_plan(folder):
-    """A study of a team with a model of trust of another kind than the printed one."""
-    conditions = ["by_hand", "suggested"]
-    trust = MODELS["asymmetric"]()
-    return LiveStudy(folder, conditions, 2, task="team", training=300.0, trust=trust)
-
-
-def test_a_team_goes_on_after_a_kill(tmp_path, client, driving_page):
-    check(team_plan(tmp_path / "s"), client, driving_page, 1, 3, led)
-
-
-@pytest.mark.long
-def test_a_team_goes_on_after_twenty_kills(tmp_path, client, driving_page):
-    check(team_plan(tmp_path / "s"), client, driving_page, 20, 4, led)
-
-
-@pytest.mark.long
-def test_twenty_kills_at_random_moments_lose_nothing(make_plan, client, driving_page):
-    check(make_plan(training=600.0), client, driving_page, 20, seed=2)

@@ -5,7 +5,6 @@ Oracles: counting; R's design of a mixed analysis as `repeated_measures` is test
 happened, written out, and the order in which it may not matter.
 """
 
-import zipfile
 from collections import Counter
 
 import pytest
@@ -13,7 +12,6 @@ from hypothesis import given, strategies as st
 
 import trustlab as tl
 from trustlab.live.study.participant import Participant, progress_of
-from trustlab.live.study.server import StudyServer
 
 # --- features -------------------------------------------------------------------------------------
 
@@ -65,19 +63,14 @@ def test_groups_fill_squares_of_their_own_and_have_pages_of_their_own(make_plan,
     assert column.to_dict() == plan.groups
 
 
-def test_groups_are_the_factor_between_subjects(tmp_path):
-    groups = {"told": ["A", "B"], "untold": ["C", "D"]}
-    short = {"duration": 2.0, "training": 1.0, "rehearsal": True}
-    conditions = ["by_hand", "most_trusted"]
-    plan = tl.LiveStudy(tmp_path / "s", conditions, groups, task="team", **short)
+def test_groups_are_the_factor_between_subjects(make_team_plan):
+    plan = make_team_plan({"told": ["A", "B"], "untold": ["C", "D"]})
     assert plan.groups == {"A": "told", "B": "told", "C": "untold", "D": "untold"}
     plan.rehearse(0)
     study = tl.read_live_study(plan.folder)
     effects = study.analysis("force").table()
-    table = study.measures
-    oracle = tl.repeated_measures(
-        table, "force", "condition", "participant", between="group", order=conditions
-    )
+    factors = {"between": "group", "order": ["by_hand", "most_trusted"]}
+    oracle = tl.repeated_measures(study.measures, "force", "condition", "participant", **factors)
     assert effects.equals(oracle.table())
     assert effects.to_string().count("group") > 1
     with pytest.raises(ValueError, match="no column 'forces'"):
@@ -94,34 +87,33 @@ def test_checks_of_attention_are_counted(make_plan, pages):
     assert study.participants["attention"].tolist() == [1, 0, 0, 0]
 
 
-def test_who_joins_takes_the_next_free_place_and_gets_a_code(make_plan, client):
+def test_who_joins_takes_the_next_free_place_and_gets_a_code(make_plan, serving, client):
     plan = make_plan(participants=2)
-    with StudyServer(plan, enrol=True) as server:
-        join = client(server.experimenter + "/state").json["join"]
+    with serving(plan, enrol=True) as served:
+        join = served.overview()["join"]
         for _ in range(5):  # a program that looks at links
             assert client(join).status == 200
         places = [client(join, {}) for _ in range(3)]
         assert [place.status for place in places] == [200, 200, 409]
-        links = [server.base + place.json["link"] for place in places[:2]]
-        assert links == list(server.links().values())
+        links = [served.base + place.json["link"] for place in places[:2]]
+        assert links == list(served.links.values())
         cookie = places[0].headers["Set-Cookie"]
         assert {"HttpOnly", "SameSite=Strict", "Path=/join"} <= set(cookie.split("; "))
         again = client(join, Cookie=cookie.partition(";")[0])
         assert (again.status, again.headers["Location"]) == (302, places[0].json["link"])
         assert client(join.replace("/join/", "/p/")).status == 404
-        assert client(links[0] + "/withdraw", {}).status == 200
-        shown = client(links[0] + "/state").json
+        assert served.withdraw().status == 200
+        shown = served.state().json
     codes = tl.read_live_study(plan.folder).participants["completion"]
     assert shown["completion"] == codes[0] != codes[1]
-    with StudyServer(plan) as server:
-        assert client(server.experimenter + "/state").json["join"] == ""
-        assert client(server.base + "/join/" + join.rpartition("/")[2]).status == 404
+    with serving(plan) as served:
+        assert served.overview()["join"] == ""
+        assert client(served.base + "/join/" + join.rpartition("/")[2]).status == 404
 
 
-def test_a_study_fixes_a_least_delay_and_marks_who_saw_later(tmp_path):
+def test_a_study_fixes_a_least_delay_and_marks_who_saw_later(make_team_plan):
     """Pictures are as late as the study says in the first drive, later by .15 s in the next."""
-    settings = {"duration": 1.0, "training": 1.0, "least_delay": 0.3, "rehearsal": True}
-    plan = tl.LiveStudy(tmp_path / "s", ["by_hand", "most_trusted"], 2, task="team", **settings)
+    plan = make_team_plan(duration=1.0, least_delay=0.3)
     plan.rehearse(0)
     who = Participant(plan, "P01")
     steps = [step.index for step in who.steps if step.page.name == "drive"]
@@ -166,21 +158,3 @@ def test_the_same_pages_done_lead_to_the_same_page_in_any_order_and_number(pages
 
 
 # --- the guide's ten minutes ----------------------------------------------------------------------
-
-
-@pytest.mark.long
-@pytest.mark.filterwarnings("ignore:.*do not fill whole squares")
-def test_a_study_from_plan_to_report(tmp_path):
-    """Driving comes to its report in `test_browser.py`."""
-    conditions = ["by_hand", "most_trusted"]
-    settings = {"duration": 20.0, "training": 5.0, "rehearsal": True, "whole_squares": False}
-    plan = tl.LiveStudy(tmp_path / "team", conditions, 3, task="team", seed=0, **settings)
-    plan.rehearse()
-    study = tl.read_live_study(plan.folder)
-    assert len(study.measures) == 6
-    assert study.analysis("force").n == 3
-    with zipfile.ZipFile(study.export()) as archive:
-        assert "measures.csv, measures.parquet: 6 rows" in archive.read("README.txt").decode()
-    page = study.report().read_text()
-    assert "scripted hands" in page.lower()
-    assert all(condition in page for condition in conditions)

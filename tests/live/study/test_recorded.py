@@ -13,7 +13,7 @@ import pytest
 
 import trustlab as tl
 from tests.live.cases import entries, events
-from trustlab.live.fit import FROM_FIT, FROM_PART, FROM_STAND_IN, identified
+from trustlab.live.fit import FROM_PART, FROM_STAND_IN, identified
 from trustlab.live.hands import HumanHand
 from trustlab.live.study.recorded import write_export
 from trustlab.live.task import scripted_commands
@@ -179,10 +179,9 @@ items = [{name = "why", kind = "text", text = "Why?", required = true}]
 
 
 @pytest.mark.parametrize("pages", [SCALES, ONE_ITEM])
-def test_questionnaires_on_other_scales_are_scored(tmp_path, pages):
+def test_questionnaires_on_other_scales_are_scored(make_team_plan, tmp_path, pages):
     (tmp_path / "pages.toml").write_text(pages)
-    short = {"duration": 2.0, "training": 1.0, "rehearsal": True, "pages": tmp_path / "pages.toml"}
-    plan = tl.LiveStudy(tmp_path / "s", ["by_hand", "most_trusted"], 2, task="team", **short)
+    plan = make_team_plan(pages=tmp_path / "pages.toml")
     plan.rehearse(0)
     study = tl.read_live_study(plan.folder)
     assert study.measures["trust_mean"].between(0, 10).all()
@@ -202,11 +201,9 @@ section = "each"
 """
 
 
-def test_practice_before_each_drive_is_no_data(tmp_path):
+def test_practice_before_each_drive_is_no_data(make_team_plan, tmp_path):
     (tmp_path / "pages.toml").write_text(PRACTICE)
-    settings = {"duration": 2.0, "training": 1.0, "rehearsal": True, "task": "team"}
-    conditions = ["by_hand", "most_trusted"]
-    plan = tl.LiveStudy(tmp_path / "s", conditions, 2, pages=tmp_path / "pages.toml", **settings)
+    plan = make_team_plan(pages=tmp_path / "pages.toml")
     for analysis in ("analysis", "order_effects"):
         with pytest.raises(ValueError, match="0 participants have all conditions; excl"):
             getattr(tl.read_live_study(plan.folder), analysis)("force")
@@ -342,24 +339,3 @@ def test_a_person_better_than_the_stand_in_at_the_best_has_a_model_too():
     found = identified(content, session)
     assert found["source"] == FROM_PART
     assert "human_p_max" in found["why"]
-
-
-@pytest.mark.long
-def test_what_a_drive_leaves_undetermined_is_held_and_the_rest_is_the_participants_own(make_plan):
-    """
-    Levels of a simulated operator within 0.1 of those it was made with; Table 2.1 is the oracle.
-    """
-    plan = make_plan(
-        identification=[(1, 200.0), (0, 200.0), (1, 150.0), (0, 150.0), (1, 150.0), (0, 150.0)]
-    )
-    phases = [tuple(phase) for phase in plan.content["identification"]]
-    for participant in (2, 4):
-        found = identified(plan.content, drive(participant, *phases))
-        assert found["source"] in (FROM_FIT, FROM_PART)
-        assert found["why"].startswith("held at the stand-in's value: ")
-        own = model_of(found["model"])
-        true = tl.published_models()[str(participant)]
-        assert own.human.p_max == pytest.approx(true.human.p_max, abs=0.1)
-        assert own.robot.p_max == pytest.approx(true.robot.p_max, abs=0.1)
-        lower, upper = found["thresholds"]
-        assert lower < upper

@@ -121,12 +121,6 @@ def test_answers_tell_browsers_to_run_and_fetch_nothing_else(served, client):
     assert stat.S_IMODE(tokens_path(served.plan.folder).stat().st_mode) == 0o600
 
 
-def test_a_page_and_its_drive_load_less_than_200_kilobytes(served, client, page):
-    loaded = sum(map(len, served.server.files.values()))
-    loaded += len(client(served.links["P01"] + "/state").content)
-    assert loaded + len(json.dumps(page.begin())) < 200_000
-
-
 def test_the_participant_is_told_no_condition(served, client, page, driving_page):
     url, said = served.links["P01"], b""
     for path in ("", "/state"):
@@ -138,17 +132,17 @@ def test_the_participant_is_told_no_condition(served, client, page, driving_page
     )
     answer = driving_page(url, number).begin()
     assert answer["config"]["columns"]
-    said += client(f"{url}/state").content + json.dumps(answer).encode()
+    said += served.state().content + json.dumps(answer).encode()
     said += json.dumps(page.drive(0, 5)).encode()
     assert not re.search(rb"\bC[1-5]\b", said)
     drive = record(served.plan, name=f"{number:02d}-drive")
     assert drive.header["condition"] == served.plan.orders["P01"][0]  # the lab knows
 
 
-def test_foreign_pages_cannot_drive(served, client, driving_page):
+def test_foreign_pages_cannot_drive(served, driving_page):
     import websocket
 
-    client(served.links["P01"] + "/answers", CONSENT)
+    served.consent()
     for options in ({"origin": "http://attacker.invalid"}, {"host": "attacker.invalid"}):
         with pytest.raises(websocket.WebSocketBadStatusException, match=r"403|421"):
             driving_page(served.links["P01"], **options)
@@ -165,7 +159,7 @@ def test_foreign_pages_cannot_drive(served, client, driving_page):
 def test_words_that_no_file_can_hold_are_refused(served, client):
     """Half of a pair of code units, as JSON lets it pass."""
     url = served.links["P01"]
-    client(url + "/answers", CONSENT)
+    served.consent()
     page = advance(served.server.participant("P01"), "satisfaction")
     answers = '{"satisfaction": 4, "comfort": 4, "control": 4, "remark": "\\ud800 hi"}'
     body = f'{{"page": {page}, "answers": {answers}}}'.encode()
@@ -179,10 +173,10 @@ def test_words_that_no_file_can_hold_are_refused(served, client):
     assert tl.read_live_study(served.plan.folder).export().exists()
 
 
-def test_connections_are_capped_and_slow_heads_time_out(make_plan, client, monkeypatch):
-    monkeypatch.setattr("trustlab.live.study.server.HEADER_TIME", 5.0)
-    with StudyServer(make_plan()) as server:
-        place = ("127.0.0.1", server.port)
+def test_connections_are_capped_and_slow_heads_time_out(make_plan, serving, monkeypatch):
+    monkeypatch.setattr("trustlab.live.study.server.HEADER_TIME", 2.0)
+    with serving(make_plan()) as served:
+        place = ("127.0.0.1", served.server.port)
         held = [socket.create_connection(place, timeout=30) for _ in range(150)]
         closed = 0
         for each in held[-20:]:
@@ -196,42 +190,22 @@ def test_connections_are_capped_and_slow_heads_time_out(make_plan, client, monke
         for each in held[:50]:
             each.sendall(b"GET /")
         assert held[0].recv(100) == b""
-        assert 1.0 < time.monotonic() - began < 15.0
-        assert client(server.links()["P01"] + "/state").status == 200
+        assert 0.5 < time.monotonic() - began < 15.0
+        assert served.state().status == 200
         for each in held[:50]:
             each.close()
 
 
-def test_many_participants_may_have_more_files_than_a_process_usually_has(make_plan, client):
+def test_many_participants_may_have_more_files_than_a_process_usually_has(make_plan, serving):
     plan = make_plan(participants=60)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     used = len(os.listdir("/proc/self/fd"))
     resource.setrlimit(resource.RLIMIT_NOFILE, (used + 20, hard))
     try:
-        with StudyServer(plan) as server:
-            assert client(server.links()["P60"] + "/state").status == 200
+        with serving(plan) as served:
+            assert served.state("P60").status == 200
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-
-
-def test_connections_leave_room_for_the_files_of_a_process_that_may_have_few(
-    make_plan, monkeypatch
-):
-    plan = make_plan()
-    most = 2 * len(plan.orders) + 50 + 30
-    monkeypatch.setattr(resource, "getrlimit", lambda kind: (most, most))
-    monkeypatch.setattr(resource, "setrlimit", lambda kind, limits: None)
-    with StudyServer(plan) as server:
-        place = ("127.0.0.1", server.port)
-        held = [socket.create_connection(place, timeout=5) for _ in range(50)]
-        closed = 0
-        for each in held[30:]:
-            each.settimeout(2.0)
-            with suppress(TimeoutError, ConnectionError):
-                closed += each.recv(1) == b""
-        for each in held:
-            each.close()
-    assert closed == 20
 
 
 def test_at_the_usual_port_browsers_leave_it_out(make_plan):
@@ -243,39 +217,38 @@ def test_at_the_usual_port_browsers_leave_it_out(make_plan):
 # --------------------------------------------------------------------------------------------------
 
 
-def test_a_disk_that_is_full_acknowledges_nothing(served, client, page, full_disk, caplog):
+def test_a_disk_that_is_full_acknowledges_nothing(served, page, full_disk, caplog):
     with full_disk():
         for _ in range(2):
             assert "cannot save at the moment" in page.drive(0, 5)["trouble"]
-        seen = client(f"{served.server.experimenter}/state").json
-    assert "Nothing can be saved (No space left on device)" in seen["trouble"]
+        trouble = served.overview()["trouble"]
+    assert "Nothing can be saved (No space left on device)" in trouble
     assert caplog.text.count("No space left") == 1, "one line however often it is tried"
     assert "Traceback" not in caplog.text
     assert read_tokens(served.plan.folder)["P01"] not in caplog.text  # no place for links
     assert page.drive(0, 5)["k"] == 5
     assert len(record(served.plan).commands) == 5
-    assert client(f"{served.server.experimenter}/state").json["trouble"] == ""
+    assert served.overview()["trouble"] == ""
     assert "is saved again" in caplog.text
 
 
-def test_a_slow_disk_holds_up_its_own_log_only(served, client, page, driving_page, monkeypatch):
-    client(served.links["P02"] + "/answers", CONSENT)
+def test_a_slow_disk_holds_up_its_own_log_only(served, page, driving_page, monkeypatch):
+    served.consent("P02")
     other = driving_page(served.links["P02"])
     other.begin()
     slow, sync = served.server.participant("P01").trial.log.handle, os.fsync
+    done = threading.Event()
 
     def synced(handle):
         if handle == slow:
-            time.sleep(2.0)
+            assert done.wait(60.0)
         sync(handle)
 
     monkeypatch.setattr(os, "fsync", synced)
     page.socket.send(json.dumps({"window": "a", "k": 0, "commands": [[0.3, 0.1, 1]], "seen": 0}))
-    began = time.monotonic()
     assert [other.drive(k, 1)["k"] for k in range(5)] == [1, 2, 3, 4, 5]
-    assert time.monotonic() - began < 1.0
+    done.set()
     assert json.loads(page.socket.recv())["k"] == 1
-    assert time.monotonic() - began > 1.9
 
 
 def test_a_second_click_and_a_second_window_find_the_page_done(served, client):
@@ -284,7 +257,7 @@ def test_a_second_click_and_a_second_window_find_the_page_done(served, client):
         answers = list(pool.map(lambda _: client(f"{url}/answers", CONSENT), range(8)))
     assert sorted(answer.status for answer in answers) == [200, *[409] * 7]
     assert [event["kind"] for event in events(served.plan)] == ["page"]
-    assert client(f"{url}/state").json["page"] == 1
+    assert served.state().json["page"] == 1
     for page in (-1, 1.0, "0", None, True, 10**30):
         assert client(f"{url}/answers", CONSENT | {"page": page}).status in (400, 409)
 
@@ -309,13 +282,13 @@ def test_a_failed_start_lets_the_study_go(make_plan):
 
 
 @pytest.mark.parametrize("lost", ["lines", "file", "folder"])
-def test_events_that_were_lost_are_not_gone_on_behind(make_plan, client, lost):
+def test_events_that_were_lost_are_not_gone_on_behind(make_plan, serving, client, lost):
     """Else the last link would be written anew, and nobody could see that there had been more."""
     plan = make_plan()
-    with StudyServer(plan) as server:
-        link = server.links()["P01"]
-        client(link + "/answers", CONSENT)
-        client(link + "/withdraw", {})
+    with serving(plan) as served:
+        link = served.links["P01"]
+        served.consent()
+        served.withdraw()
     folder = plan.folder / "P01"
     events = folder / "events.jsonl"
     lines = events.read_text().splitlines(keepends=True)
@@ -324,12 +297,12 @@ def test_events_that_were_lost_are_not_gone_on_behind(make_plan, client, lost):
         events.unlink()
     if lost == "folder":
         folder.rmdir()
-    with StudyServer(plan) as server:
-        other = server.links()["P02"]
-        answer = client(f"{other.rpartition('/')[0]}/{link.rpartition('/')[2]}/state")
+    with serving(plan) as served:
+        others = served.links["P02"].rpartition("/")[0]
+        answer = client(f"{others}/{link.rpartition('/')[2]}/state")
         assert (answer.status, "ask the experimenter" in answer.json["error"]) == (409, True)
-        assert client(other + "/state").status == 200  # the others go on
-        overview = client(server.experimenter + "/state").json
+        assert served.state("P02").status == 200  # the others go on
+        overview = served.overview()
         assert "events.jsonl: its last lines are missing; restore it" in overview["trouble"]
         assert [person["code"] for person in overview["people"]] == ["P02", "P03"]
     assert tl.read_live_study(plan.folder).faults()["participant"].tolist() == ["P01"]
@@ -339,15 +312,14 @@ def test_events_that_were_lost_are_not_gone_on_behind(make_plan, client, lost):
         assert server.links()
 
 
-def test_enrolment_and_requests_at_once_break_no_log(make_plan, client):
+def test_enrolment_and_requests_at_once_break_no_log(make_plan, serving, client):
     plan = make_plan(participants=20)
-    with StudyServer(plan, enrol=True) as server:
-        join = client(server.experimenter + "/state").json["join"]
-        links = list(server.links().values())
+    with serving(plan, enrol=True) as served:
+        join = served.overview()["join"]
 
         def both(k):
             barrier.wait()
-            return client(join, {}) if k % 2 else client(links[k // 2] + "/answers", CONSENT)
+            return client(join, {}) if k % 2 else served.consent(f"P{1 + k // 2:02d}")
 
         barrier = threading.Barrier(40)
         with ThreadPoolExecutor(40) as pool:
@@ -374,14 +346,10 @@ def test_only_a_proxy_leads_people_here_from_other_machines(make_plan, client):
 # --------------------------------------------------------------------------------------------------
 
 
-def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(
-    served, client, page, driving_page
-):
-    act = served.server.experimenter + "/act"
+def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, page, driving_page):
     page.drive(0, 5)
     for number, status in ((0, 400), (2, 400), ([1], 400), (1, 200)):  # no drive, not begun, begun
-        restart = {"participant": "P01", "action": "restart", "page": number}
-        assert client(act, restart).status == status
+        assert served.act("restart", page=number).status == status
     assert page.drive(5, 5) == {"done": True}
     again = driving_page(served.links["P01"])
     assert again.begin()["k"] == 0
@@ -393,7 +361,7 @@ def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(
 
 
 @pytest.mark.parametrize("act", ["restart", "end"])
-def test_what_cannot_be_noted_ends_no_drive(served, client, page, monkeypatch, act):
+def test_what_cannot_be_noted_ends_no_drive(served, page, monkeypatch, act):
     """Else the drive would be over, and what there is of it would count as all."""
     page.drive(0, 5)
     participant = served.server.participant("P01")
@@ -403,60 +371,52 @@ def test_what_cannot_be_noted_ends_no_drive(served, client, page, monkeypatch, a
 
     with monkeypatch.context() as patched:
         patched.setattr(participant.log, "append", full)
-        body = {"participant": "P01", "action": act, "page": 1}
-        assert client(served.server.experimenter + "/act", body).status == 507
+        assert served.act(act, page=1).status == 507
     assert page.drive(5, 5)["k"] == 10
     assert record(served.plan).end == ""
 
 
-def test_the_experimenter_sees_adds_and_ends(served, client, page):
-    experimenter = served.server.experimenter
+def test_the_experimenter_sees_adds_and_ends(served, page):
     page.drive(0, 5)
-    note = {"participant": "P01", "action": "note", "text": "<script>alert(1)</script> spoke"}
-    seen = {person["code"]: person for person in client(f"{experimenter}/act", note).json["people"]}
+    words = "<script>alert(1)</script> spoke"
+    seen = {person["code"]: person for person in served.act("note", text=words).json["people"]}
     assert (seen["P01"]["rows"], seen["P01"]["delay"]) == (5, 0.0)
-    assert [one["text"] for one in seen["P01"]["notes"]] == [note["text"]]
+    assert [one["text"] for one in seen["P01"]["notes"]] == [words]
     assert seen["P02"]["seconds_ago"] is None
-    for body in (
-        END | {"participant": []},
-        END | {"action": "overview"},
-        note | {"text": "x" * 1001},
-    ):
-        assert client(f"{experimenter}/act", body).status == 400
-    long = client(f"{experimenter}/act", note | {"text": "x" * 1001}).json["error"]
-    assert long.startswith("note: the answer must be 1 to 1000 characters")
-    assert client(f"{experimenter}/act", END).status == 200
-    assert client(served.links["P01"] + "/state").json["kind"] == "end"
+    long = served.act("note", text="x" * 1001)
+    for answer in (long, served.act("end", participant=[]), served.act("overview")):
+        assert answer.status == 400
+    assert long.json["error"].startswith("note: the answer must be 1 to 1000 characters")
+    assert served.act("end").status == 200
+    assert served.state().json["kind"] == "end"
     table = tl.read_live_study(served.plan.folder).participants.set_index("participant")
     assert table.loc["P01", "ended"]
-    assert table.loc["P01", "notes"] == note["text"]
+    assert table.loc["P01", "notes"] == words
 
 
-def test_people_decline_and_withdraw(served, client, page):
-    leaver, decliner = served.links["P01"], served.links["P02"]
-    assert client(f"{decliner}/withdraw", {}).json["title"] == "You have stopped"
+def test_people_decline_and_withdraw(served, page):
+    assert served.withdraw("P02").json["title"] == "You have stopped"
     page.drive(0, 5)
     for _ in range(2):
-        client(f"{leaver}/withdraw", {})
+        served.withdraw()
     assert page.drive(5, 5) == {"done": True}
     assert record(served.plan).end == "the participation ended"
-    assert client(f"{leaver}/state").json["kind"] == "end"
+    assert served.state().json["kind"] == "end"
     ends = [event for event in events(served.plan) if event["kind"] == "end"]
     assert [event["source"] for event in ends] == ["participant"]
     table = tl.read_live_study(served.plan.folder).participants
-    seen = client(served.server.experimenter + "/state").json["people"]
     assert table["withdrawn"].tolist() == [True, True, False]
-    assert [person["withdrawn"] for person in seen] == [True, True, False]
+    seen = [person["withdrawn"] for person in served.overview()["people"]]
+    assert seen == [True, True, False]
 
 
 def test_who_is_deleted_while_the_study_is_served_is_gone(served, client, page):
     page.drive(0, 5)
     served.plan.delete("P01")
-    for path in ("", "/state"):
-        assert client(served.links["P01"] + path).status == 404
+    assert client(served.links["P01"]).status == served.state().status == 404
     assert page.drive(5, 5) == {"done": True}
     assert not (served.plan.folder / "P01").exists()
-    seen = client(served.server.experimenter + "/state").json
+    seen = served.overview()
     assert (seen["deleted"], [person["code"] for person in seen["people"]]) == (1, ["P02", "P03"])
     study = tl.read_live_study(served.plan.folder)
     assert study.deleted == ["P01"]
@@ -465,21 +425,22 @@ def test_who_is_deleted_while_the_study_is_served_is_gone(served, client, page):
 
 
 def test_nothing_about_a_person_who_drove_is_kept_but_what_the_documentation_lists(
-    served, client, driving_page
+    served, driving_page
 ):
     """
     Names of everything that an event or a log may hold; a new one belongs into the documentation
     first.
     """
-    url = served.links["P01"]
-    client(f"{url}/answers", CONSENT, User_Agent="Mozilla/5.0 (secret)", Cookie="a=b")
-    page = driving_page(url, header={"User-Agent": "Mozilla/5.0 (secret)", "X-Real-IP": "10.1.2.3"})
+    served.consent(User_Agent="Mozilla/5.0 (secret)", Cookie="a=b")
+    page = driving_page(
+        served.links["P01"], header={"User-Agent": "Mozilla/5.0 (secret)", "X-Real-IP": "10.1.2.3"}
+    )
     page.begin()
     assert page.drive(0, 5)["done"] is False
     page.say(note="paused")
     assert page.drive(5, 99)["done"] is True
     assert page.drive(100, 5) == {"done": True}
-    assert client(f"{url}/state").json["page"] == 2
+    assert served.state().json["page"] == 2
     done = record(served.plan)
     assert (len(done.rows), done.end) == (100, "complete")
     assert [event["kind"] for event in events(served.plan)] == ["page", "begin", "page"]

@@ -32,13 +32,6 @@ def test_the_live_task_is_as_hard_as_people_found_it():
         assert min(most) - 0.02 < hand[signal] < max(most) + 0.02, signal
 
 
-def test_an_identification_drive_is_fitted():
-    phases = [(1, 250.0), (0, 250.0), (1, 200.0)]
-    session = driven("identification", 3, identification=phases)
-    assert session["mode"][[0, 2499, 2500, 4999, 5000]].tolist() == [1.0, 1.0, 0.0, 0.0, 1.0]
-    assert 0.25 < tl.fit_robot(session).model.p_max < 0.5
-
-
 def test_what_a_drive_leaves_undetermined_is_held_at_the_drives_model(tmp_path):
     log = tmp_path / "drive.jsonl"
     live = tl.LiveGroundRobot("C3", MODEL, (0.0, 0.35), laps=4, seed=1, log=log)

@@ -150,9 +150,7 @@ def test_agreement_is_cohens_kappa():
         pooled += count * np.array([1.0, single["agreement"], single["chance"]])
     result = policy_agreement(runs).loc["most_trusted"]
     assert result["kappa"] == pytest.approx((pooled[1] - pooled[2]) / (pooled[0] - pooled[2]))
-    assert result["low"] < result["kappa"] < result["high"]
-    assert result["low"] > 0.2
-    assert result["high"] < 0.9
+    assert 0.2 < result["low"] < result["kappa"] < result["high"] < 0.9
 
 
 # studies
@@ -160,30 +158,25 @@ def test_agreement_is_cohens_kappa():
 
 
 @pytest.mark.parametrize(("task", "column"), [("team", "trust_1"), ("teleoperation", "trust_hr")])
-def test_studies_of_two_models_of_trust_are_rehearsed_and_read(tmp_path, task, column):
-    """Trust stays over a trial of half a second, ten rows; the printed one changes in each."""
-    protocol = task_named(task)
+def test_studies_of_another_model_of_trust_are_rehearsed_and_read(tmp_path, task, column):
+    """Trust stays over a trial of half a second, ten rows."""
     settings = {"task": task, "training": 1.0, **SHORT[task], "duration": 2.0, "rehearsal": True}
-    conditions = list(protocol.conditions[:2])
+    conditions = list(task_named(task).conditions[:2])
     beta = tl.trust.TrustInLoop(tl.trust.MODELS["beta"](success=2.0, failure=3.0), every=0.5)
-    changes = {}
-    for name, trust in (("printed", None), ("beta", beta)):
-        plan = tl.LiveStudy(tmp_path / name, conditions, 2, trust=trust, **settings)
-        plan.rehearse(1)
-        study = tl.read_live_study(plan.folder)
-        measures = study.measures
-        assert (len(measures), measures["verified"].all()) == (4, True)
-        assert np.isfinite(measures[list(study.task.reported)].to_numpy(float)).all()
-        assert study.participants["complete"].all()
-        assert study.faults().empty
-        assert study.export().exists()
-        assert tl.LiveStudy.open(plan.folder).content["task"] == task
-        session = study.sessions()[0]
-        assert session.sample_time == 0.05
-        changes[name] = np.flatnonzero(np.diff(session[column]))
-    assert len(changes["beta"]) > 0
-    assert set(np.diff(changes["beta"]) % 10) <= {0}
-    assert len(changes["printed"]) > 2 * len(changes["beta"])
+    plan = tl.LiveStudy(tmp_path / "beta", conditions, 2, trust=beta, **settings)
+    plan.rehearse(1)
+    study = tl.read_live_study(plan.folder)
+    measures = study.measures
+    assert (len(measures), measures["verified"].all()) == (4, True)
+    assert np.isfinite(measures[list(study.task.reported)].to_numpy(float)).all()
+    assert study.participants["complete"].all()
+    assert study.faults().empty
+    assert study.export().exists()
+    session = study.sessions()[0]
+    assert session.sample_time == 0.05
+    changes = np.flatnonzero(np.diff(session[column]))
+    assert len(changes) > 0
+    assert set(np.diff(changes) % 10) <= {0}
     with pytest.raises(ValueError, match="cannot be replayed from a study's plan"):
         tl.LiveStudy(tmp_path / "own", conditions, 2, trust=Own(), **settings)
 

@@ -21,8 +21,8 @@ COLUMNS = columns_of(LOGGED)
 # Beside it, what later samples look up.
 SAMPLE = np.dtype([*LOGGED.descr, *record(vectors="error", numbers="good_r good_h").descr])
 
-# Room that scheme OMI computes in: what lies ahead, the cost as a series in α, its derivative.
-BLENDING = record(ahead=(float, (3, 5)), series=(float, DEGREE + 1), slope=(float, DEGREE + 2))
+# Room that scheme OMI computes in: what lies ahead, the cost as a series in α.
+BLENDING = record(ahead=(float, (3, 5)), series=(float, DEGREE + 1))
 
 # The state: what the loop carries on, what has arrived, what the steps of a sample tell each other,
 # and the sample. `account`: what the operator's port may spend [J].
@@ -77,7 +77,7 @@ NUMBERS = record(
     # exact one-sample matrices of (position, velocity, acceleration) per axis
     phi=(float, (3, 3, 3)),
     gamma=(float, (3, 3)),
-    blend=(float, (3, DEGREE + 1, 5, 5)),  # the cost of Appendix A
+    blend=(float, (DEGREE + 1, 3, 5, 5)),  # the cost of Appendix A
 )
 
 

@@ -195,7 +195,7 @@ def optimal_share(numbers, whole):
         ahead[i, 2] = now.error[i]
         ahead[i, 3] = s.reference_velocity[i] - now.velocity[i]
         ahead[i, 4] = -s.acceleration[i]
-    return best_share(c.blend, ahead, s.alpha_min, s.alpha_max, room.series, room.slope)
+    return best_share(c.blend, ahead, s.alpha_min, s.alpha_max, room.series)
 
 
 @dataclass(frozen=True)

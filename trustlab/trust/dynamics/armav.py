@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from trustlab.trust.dynamics.linear import LinearTrust, column
+from trustlab.trust.dynamics.linear import LinearTrust, columns
 from trustlab.trust.interface import Event, parameter
 
 
@@ -37,7 +37,6 @@ class SeriesTrust(LinearTrust):
     """
 
     title: ClassVar[str] = "time series (Lee and Moray)"
-    contains_performance: ClassVar[bool] = True
     direction: ClassVar[tuple[float, ...]] = (1.0, 0.0, 0.0)
     offset: ClassVar[tuple[float, ...]] = (0.0, 0.5, 0.0)
     memory: float = parameter(0.7, 0.0, 1.0)
@@ -48,19 +47,17 @@ class SeriesTrust(LinearTrust):
     fault_before: float = parameter(0.0, -1.0, 1.0)
 
     @classmethod
-    def as_performance(cls, fitted):
+    def as_performance(cls, a, gain, **noise):
         """
         Return this model where it is (3.2), for events of length 1.
 
         Parameters
         ----------
-        fitted : PerformanceTrust
-            (3.2).
+        a, gain, **noise : float
+            Parameters of `PerformanceTrust`.
         """
-        memory = float(np.exp(-fitted.a))
-        now = (1.0 - memory) * fitted.gain
-        noise = {"process_sd": fitted.process_sd, "rating_sd": fitted.rating_sd}
-        return cls(memory=memory, constant=0.0, now=now, before=0.0, **noise)
+        memory = float(np.exp(-a))
+        return cls(memory=memory, constant=0.0, now=(1.0 - memory) * gain, before=0.0, **noise)
 
     def transition(self, event: Event):
         """
@@ -73,9 +70,6 @@ class SeriesTrust(LinearTrust):
         """
         size = max(np.size(event.p_r), np.size(self.memory))
         matrix = np.zeros((size, 3, 3))
-        matrix[:, 0, 0] = self.memory
-        matrix[:, 0, 1] = self.before
-        matrix[:, 0, 2] = self.fault_before
-        p, f = column(event.p_r, size), column(event.fault, size)
-        change = self.constant + self.now * p + self.fault_now * f
-        return matrix, np.stack([change, p, f], axis=-1)
+        matrix[:, 0] = columns(size, self.memory, self.before, self.fault_before)
+        change = self.constant + self.now * event.p_r + self.fault_now * event.fault
+        return matrix, columns(size, change, event.p_r, event.fault)

@@ -33,30 +33,23 @@ class SwitchedTrust(LinearTrust):
     """
 
     title: ClassVar[str] = "switched, asymmetric"
-    contains_performance: ClassVar[bool] = True
     rate_success: float = parameter(0.2, 0.0, np.inf)
     rate_failure: float = parameter(0.3, 0.0, np.inf)
     level_success: float = parameter(0.8, 0.0, 1.0)
     level_failure: float = parameter(0.2, 0.0, 1.0)
 
     @classmethod
-    def as_performance(cls, fitted):
+    def as_performance(cls, a, gain, **noise):
         """
         Return this model where it is (3.2), for performances of 0 and 1.
 
         Parameters
         ----------
-        fitted : PerformanceTrust
-            (3.2).
+        a, gain, **noise : float
+            Parameters of `PerformanceTrust`.
         """
-        noise = {"process_sd": fitted.process_sd, "rating_sd": fitted.rating_sd}
-        return cls(
-            rate_success=fitted.a,
-            rate_failure=fitted.a,
-            level_success=fitted.gain,
-            level_failure=0.0,
-            **noise,
-        )
+        levels = {"level_success": gain, "level_failure": 0.0}
+        return cls(rate_success=a, rate_failure=a, **levels, **noise)
 
     def transition(self, event: Event):
         """
@@ -67,6 +60,6 @@ class SwitchedTrust(LinearTrust):
         event : Event
             Its dt and p_r.
         """
-        success = np.asarray(event.p_r) >= 0.5
+        success = event.p_r >= 0.5
         decay = np.exp(-np.where(success, self.rate_success, self.rate_failure) * event.dt)
         return decay, (1.0 - decay) * np.where(success, self.level_success, self.level_failure)

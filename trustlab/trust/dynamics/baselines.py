@@ -79,10 +79,6 @@ class Constant(LinearTrust):
         return 0.0, self.level
 
 
-# States of a habit: trust, then how often a person could rely on the robot, and how often they did.
-_, CHANCES, RELIED = range(3)
-
-
 @dataclass(frozen=True)
 class Habit(RunningMean):
     """
@@ -95,6 +91,7 @@ class Habit(RunningMean):
     """
 
     title: ClassVar[str] = "own habit"
+    # States: trust, then how often a person could rely on the robot, and how often they did.
     direction: ClassVar[tuple[float, ...]] = (1.0, 0.0, 0.0)
     offset: ClassVar[tuple[float, ...]] = (0.0, 0.0, 0.0)
 
@@ -107,12 +104,8 @@ class Habit(RunningMean):
         event : Event
             Its `followed`.
         """
-        followed = np.asarray(event.followed, dtype=float)
-        asked = np.isfinite(followed)
-        count = np.zeros((*followed.shape, 3))
-        count[..., CHANCES] = asked
-        count[..., RELIED] = np.where(asked, followed, 0.0)
-        return np.eye(3), count
+        asked, relied = np.isfinite(event.followed), np.nan_to_num(event.followed)
+        return np.eye(3), np.stack([0.0 * asked, asked, relied], axis=-1)
 
     def preference(self, belief: Gaussian) -> np.ndarray:
         """
@@ -123,5 +116,5 @@ class Habit(RunningMean):
         belief : Gaussian
             The belief now.
         """
-        relied = belief.mean[:, RELIED] + 1.0
-        return special.logit(relied / (belief.mean[:, CHANCES] + 2.0))
+        _, chances, relied = belief.mean.T
+        return special.logit((relied + 1.0) / (chances + 2.0))

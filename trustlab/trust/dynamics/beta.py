@@ -17,6 +17,12 @@ class Counts(NamedTuple):
     alpha: np.ndarray
     beta: np.ndarray
 
+    @classmethod
+    def of(cls, mean, total) -> "Counts":
+        """Return the counts of a mean, which is kept off the ends of the scale, and of a total."""
+        mean = np.clip(mean, END, 1.0 - END)
+        return cls(total * mean, total * (1.0 - mean))
+
 
 @dataclass(frozen=True)
 class BetaTrust(TrustDynamics):
@@ -55,9 +61,7 @@ class BetaTrust(TrustDynamics):
         rating : array_like, shape (N,)
             Ratings, 0 to 1.
         """
-        mean = np.nan_to_num(np.atleast_1d(np.asarray(rating, dtype=float)), nan=0.5)
-        mean = np.clip(mean, END, 1.0 - END)
-        return Counts(self.strength * mean, self.strength * (1.0 - mean))
+        return Counts.of(np.nan_to_num(np.atleast_1d(rating), nan=0.5), self.strength)
 
     def step(self, belief: Counts, event: Event) -> Counts:
         """
@@ -70,8 +74,8 @@ class BetaTrust(TrustDynamics):
         event : Event
             Its p_r.
         """
-        p = np.asarray(event.p_r, dtype=float)
-        return Counts(belief.alpha + self.success * p, belief.beta + self.failure * (1.0 - p))
+        failed = 1.0 - event.p_r
+        return Counts(belief.alpha + self.success * event.p_r, belief.beta + self.failure * failed)
 
     def learn(self, belief: Counts, rating) -> Counts:
         """
@@ -86,10 +90,7 @@ class BetaTrust(TrustDynamics):
         """
         total = belief.alpha + belief.beta
         mean = belief.alpha / total
-        rating = np.asarray(rating, dtype=float)
-        moved = mean + self.anchor * (np.where(np.isfinite(rating), rating, mean) - mean)
-        moved = np.clip(moved, END, 1.0 - END)
-        return Counts(total * moved, total * (1.0 - moved))
+        return Counts.of(mean + self.anchor * np.nan_to_num(rating - mean), total)
 
     def rating(self, belief: Counts) -> BetaRating:
         """

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from trustlab.trust.dynamics.linear import LinearTrust, column
+from trustlab.trust.dynamics.linear import LinearTrust, columns
 from trustlab.trust.interface import Event, parameter
 
 
@@ -39,7 +39,6 @@ class CumulativeTrust(LinearTrust):
     """
 
     title: ClassVar[str] = "memory and bias (Hu and Akash)"
-    contains_performance: ClassVar[bool] = True
     direction: ClassVar[tuple[float, ...]] = (1.0, 1.0)
     offset: ClassVar[tuple[float, ...]] = (0.0, 0.0)
     change: float = parameter(0.3, 0.0, 1.0)
@@ -49,18 +48,17 @@ class CumulativeTrust(LinearTrust):
     bias: float = parameter(0.5, 0.0, 1.0)
 
     @classmethod
-    def as_performance(cls, fitted):
+    def as_performance(cls, a, gain, **noise):
         """
         Return this model where it is (3.2), for events of length 1.
 
         Parameters
         ----------
-        fitted : PerformanceTrust
-            (3.2).
+        a, gain, **noise : float
+            Parameters of `PerformanceTrust`.
         """
-        change = 1.0 - float(np.exp(-fitted.a))
-        noise = {"process_sd": fitted.process_sd, "rating_sd": fitted.rating_sd}
-        return cls(change=change, experience=fitted.gain, memory=0.0, bias=0.0, **noise)
+        change = 1.0 - float(np.exp(-a))
+        return cls(change=change, experience=gain, memory=0.0, bias=0.0, **noise)
 
     def transition(self, event: Event):
         """
@@ -72,13 +70,11 @@ class CumulativeTrust(LinearTrust):
             Its p_r.
         """
         size = max(np.size(event.p_r), np.size(self.change))
+        # Trust after the event as coefficients of trust, cumulative trust and 1.
         experience = self.change * self.experience
         memory = (self.change - experience) * self.memory
         expectation = self.change - experience - memory
-        matrix = np.empty((size, 2, 2))
-        matrix[:, 0, 0] = 1.0 - self.change
-        matrix[:, 0, 1] = memory
-        matrix[:, 1] = np.reshape(self.forgetting, (-1, 1)) * matrix[:, 0]
-        matrix[:, 1, 1] += 1.0 - self.forgetting
-        shift = experience * column(event.p_r, size) + expectation * self.bias
-        return matrix, np.stack([shift, self.forgetting * shift], axis=-1)
+        pull = experience * event.p_r + expectation * self.bias
+        trust, g = columns(size, 1.0 - self.change, memory, pull), columns(size, self.forgetting)
+        after = np.stack([trust, (1.0 - g) * [0.0, 1.0, 0.0] + g * trust], axis=1)
+        return after[..., :2], after[..., 2]

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from trustlab.trust.dynamics.linear import Gaussian, LinearTrust, column
+from trustlab.trust.dynamics.linear import Gaussian, LinearTrust, columns
 from trustlab.trust.interface import Event, parameter
 
 # States: trust, belief in the robot and where it began, self-confidence, belief in oneself and
@@ -57,23 +57,20 @@ class FieldTrust(LinearTrust):
             Its p_r, p_h, mode and seen.
         """
         size = max(np.size(event.p_r), np.size(self.inertia))
-        matrix, shift = np.zeros((size, 7, 7)), np.zeros((size, 7))
-        s = column(self.inertia, size)
+        # A sum of states and a number is a row of their coefficients.
+        *state, number = np.eye(8)
+        names = self.inertia, self.learning, self.forgetting
+        s, learning, forgetting = (columns(size, each) for each in names)
+        after = np.tile(state, (size, 1, 1))
         ends = [(T, B_R, B_R0, event.seen, event.p_r), (S, B_H, B_H0, event.mode, event.p_h)]
         for level, belief, origin, visible, performance in ends:
-            visible = column(visible, size) > 0.5
-            rate = np.where(visible, self.learning, self.forgetting)
-            matrix[:, belief, belief] = 1.0 - rate
-            matrix[:, belief, origin] = np.where(visible, 0.0, rate)
-            matrix[:, origin, origin] = 1.0
-            shift[:, belief] = np.where(visible, rate * column(performance, size), 0.0)
-            matrix[:, level] = s[:, None] * matrix[:, belief]
-            matrix[:, level, level] = 1.0 - s
-            shift[:, level] = s * shift[:, belief]
-        matrix[:, P] = s[:, None] * (matrix[:, T] - matrix[:, S])
-        matrix[:, P, P] = 1.0 - s
-        shift[:, P] = s * (shift[:, T] - shift[:, S])
-        return matrix, shift
+            learned = columns(size, performance) * number - state[belief]
+            forgotten = state[origin] - state[belief]
+            visible = columns(size, visible) > 0.5
+            after[:, belief] += np.where(visible, learning * learned, forgetting * forgotten)
+            after[:, level] += s * (after[:, belief] - state[level])
+        after[:, P] += s * (after[:, T] - after[:, S] - state[P])
+        return after[..., :7], after[..., 7]
 
     def preference(self, belief: Gaussian) -> np.ndarray:
         """

@@ -15,9 +15,10 @@ class Gaussian(NamedTuple):
     covariance: np.ndarray
 
 
-def column(value: Any, size: int) -> np.ndarray:
-    """Return a parameter or a signal as an array with a row per person."""
-    return np.broadcast_to(np.asarray(value, dtype=float), (size,))
+def columns(size: int, *values: Any) -> np.ndarray:
+    """Return parameters and signals side by side, a row per person."""
+    rows = [np.broadcast_to(value, size) for value in values]
+    return np.stack(rows, axis=-1).astype(float)
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class LinearTrust(TrustDynamics):
         rating : array_like, shape (N,)
             Ratings, 0 to 1.
         """
-        rating = np.atleast_1d(np.asarray(rating, dtype=float))
+        rating = np.atleast_1d(rating)
         missing = np.isnan(rating)
         first = np.where(missing, 0.5, rating)
         variance = np.where(missing, 1.0 / 12.0, self.rating_sd**2)
@@ -84,13 +85,9 @@ class LinearTrust(TrustDynamics):
         size, states = belief.mean.shape
         matrix, shift = self.transition(event)
         if states == 1:
-            matrix = column(matrix, size)[:, None]
-            mean = matrix * belief.mean + column(shift, size)[:, None]
-            covariance = matrix[..., None] ** 2 * belief.covariance
-        else:
-            mean = (matrix @ belief.mean[..., None])[..., 0] + shift
-            covariance = matrix @ belief.covariance @ np.swapaxes(matrix, -1, -2)
-        covariance = covariance.copy()
+            matrix, shift = columns(size, matrix)[..., None], columns(size, shift)
+        mean = (matrix @ belief.mean[..., None])[..., 0] + shift
+        covariance = matrix @ belief.covariance @ np.swapaxes(matrix, -1, -2)
         covariance[:, 0, 0] += self.process_sd**2 * event.dt
         return Gaussian(mean, covariance)
 
@@ -105,7 +102,7 @@ class LinearTrust(TrustDynamics):
         rating : array_like, shape (N,)
             Ratings, 0 to 1.
         """
-        error = np.asarray(rating, dtype=float) - belief.mean[:, 0]
+        error = rating - belief.mean[:, 0]
         known = np.isfinite(error)
         with_trust = belief.covariance[:, :, 0]
         spread = belief.covariance[:, 0, 0] + self.rating_sd**2

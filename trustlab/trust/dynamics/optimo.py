@@ -5,7 +5,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from trustlab.trust.dynamics.linear import column
+from trustlab.trust.dynamics.linear import columns
 from trustlab.trust.interface import Event, GridRating, TrustDynamics, parameter
 
 BINS = 100
@@ -62,7 +62,7 @@ class GridTrust(TrustDynamics):
         rating : array_like, shape (N,)
             Ratings, 0 to 1.
         """
-        rating = np.atleast_1d(np.asarray(rating, dtype=float))
+        rating = np.atleast_1d(rating)
         uniform = np.full((rating.size, BINS), 1.0 / BINS)
         return self.learn(Grid(uniform, np.full(rating.size, np.nan)), rating)
 
@@ -78,10 +78,10 @@ class GridTrust(TrustDynamics):
             Its p_r.
         """
         size = len(belief.weights)
-        p = column(event.p_r, size)
+        p = np.broadcast_to(event.p_r, size)
         before = np.where(np.isnan(belief.before), p, belief.before)
         shift = self.constant + self.level * p + self.change * (p - before)
-        moves = np.stack([shift, column(self.process_sd, size)], axis=-1)
+        moves = columns(size, shift, self.process_sd)
         # People who see the same move the same way: a kernel for each way that occurs.
         ways, which = np.unique(moves, axis=0, return_inverse=True)
         weights = np.empty_like(belief.weights)
@@ -106,8 +106,8 @@ class GridTrust(TrustDynamics):
         rating : array_like, shape (N,)
             Ratings, 0 to 1.
         """
-        sd = column(self.rating_sd, len(belief.weights))[:, None]
-        error = (np.asarray(rating, dtype=float)[:, None] - CENTRES) / sd
+        sd = columns(len(belief.weights), self.rating_sd)
+        error = (np.atleast_1d(rating)[:, None] - CENTRES) / sd
         exponent = np.nan_to_num(-0.5 * np.square(error), nan=0.0)
         # Where every bin has lost its probability, so has the rating: NaN, which costs the most.
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -124,4 +124,4 @@ class GridTrust(TrustDynamics):
         belief : Grid
             The belief now.
         """
-        return GridRating(belief.weights, CENTRES, column(self.rating_sd, len(belief.weights)))
+        return GridRating(belief.weights, CENTRES, self.rating_sd)
