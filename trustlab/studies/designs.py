@@ -205,7 +205,7 @@ def latin_square_design(
 
     Which condition gets which label of the square, and the order of its rows for each batch of
     participants, are drawn from the seed; participants added later do not change the orders of
-    those before them.
+    those before them, but of those who fill half a square.
 
     Parameters
     ----------
