@@ -226,6 +226,9 @@ def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
         assert state() == before
     with pytest.raises(ValueError, match="not known to be of this study; give a new"):
         tl.virtual_study(**QUICK, out=tmp_path / "sessions")
+    min(sessions).unlink()
+    with pytest.raises(ValueError, match=f"1 of {len(sessions)} sessions are missing"):
+        tl.virtual_study(**QUICK, out=tmp_path)
 
 
 def test_a_participant_is_joined_once(kept):

@@ -384,7 +384,16 @@ def _study_folder(out: str | os.PathLike) -> Path:
 
 
 def _finish(folder: Path, study: VirtualStudy) -> None:
-    """Write the tables beside the sessions."""
+    """Check that every session is there, and write the tables beside them."""
+    rows = study.measures[["participant", "position", "condition"]].itertuples(index=False)
+    files = [session_file(folder / "sessions", *row) for row in rows]
+    missing = [file.name for file in files if not file.is_file()]
+    if missing:
+        raise ValueError(
+            f"out: {len(missing)} of {len(files)} sessions are missing from {folder / 'sessions'} "
+            f"({missing[0]} first), although the campaign beside it says that they were run; "
+            "remove the folder and run the study again"
+        )
     about = (
         f"SIMULATED. {study.title}: {study.message}\nOne file per session in sessions/: "
         "trustlab.read_sessions reads them.\n"
@@ -393,6 +402,11 @@ def _finish(folder: Path, study: VirtualStudy) -> None:
     study.design.orders().to_csv(folder / "orders.csv", index=False)
     study.measures.to_csv(folder / "measures.csv", index=False)
     (folder / "about.txt").write_text(about, encoding="utf-8")
+
+
+def session_file(folder: str | Path, participant: int, position: int, condition: str) -> Path:
+    """Return the file that holds one session; participants and positions count from 1."""
+    return Path(folder) / f"participant_{participant:05d}_trial_{position}_{condition}.parquet"
 
 
 def run_participant(
@@ -419,8 +433,7 @@ def run_participant(
         run = testbed.run(condition, person, streams[condition])
         if folder is not None:
             session = run.session.with_metadata(trial=position, testbed=testbed.name)
-            file = f"participant_{participant:05d}_trial_{position}_{condition}.parquet"
-            write_session(session, Path(folder) / file)
+            write_session(session, session_file(folder, participant, position, condition))
         measures |= {f"{condition}/{name}": float(x) for name, x in run.measures.items()}
         person = testbed.next_session(person, run)
     return measures
