@@ -266,3 +266,23 @@ def test_no_effect_is_exactly_none():
     """Rounding gave 1e-32."""
     power = tl.power_analysis([0.1] * 4, graded_covariance(4), n=20, simulation=SMALL).table()
     assert (power[["effect_size", "noncentrality"]] == 0.0).all(axis=None)
+
+
+@pytest.mark.parametrize(
+    "columns", [FACTORS, StudyColumns(within="difficulty", between="autonomy")]
+)
+def test_names_of_a_covariance_are_those_of_the_cells(columns):
+    """They were taken by position."""
+    within = TWO_WAY.index if columns is FACTORS else TWO_WAY.index.unique(1)
+    named = pd.DataFrame(np.diag(np.arange(1.0, 1.0 + len(within))), within, within)
+    of = {"columns": columns, "n": 5, "simulation": SMALL}
+    found = tl.power_analysis(TWO_WAY, named.iloc[::-1, ::-1], **of).table()
+    same = tl.power_analysis(TWO_WAY, named.to_numpy(), **of).table()
+    pd.testing.assert_frame_equal(found, same)
+
+
+def test_factors_of_means_stand_in_their_order():
+    """The effects of autonomy were called difficulty."""
+    means = TWO_WAY.rename_axis(index=["difficulty", "autonomy"])
+    with pytest.raises(ValueError, match="mean must be indexed by autonomy, difficulty, in this"):
+        tl.power_analysis(means, graded_covariance(6), columns=FACTORS, simulation=SMALL)

@@ -258,8 +258,11 @@ def population_of(
         same = len(known) == len(values)
         mean = pd.Series(values, known if same else range(1, len(values) + 1))
     means = pd.Series(mean, dtype=float)
-    if several and means.index.nlevels != len(factors):
-        raise ValueError(f"mean must be indexed by {', '.join(map(str, factors))}")
+    named = [*means.index.names]
+    if several and (len(named) != len(factors) or ({*named} == {*factors} and named != factors)):
+        raise ValueError(
+            f"mean must be indexed by {', '.join(map(str, factors))}, in this order, got {named}"
+        )
     if not several:
         labels = [*means.index]
         if known:
@@ -278,6 +281,10 @@ def population_of(
         raise ValueError(f"mean: no number for cell {cell!r} of {factors}")
     between = {name: levels.pop(name) for name in names_of(columns.between)}
     labels = [*product(*levels.values())]
+    cells = labels if len(levels) > 1 else next(iter(levels.values()))
+    if {*cells} <= {*known} and known == [*covariance.columns]:
+        places = [known.index(cell) for cell in cells]
+        covariance = covariance.iloc[places, places]
     groups = means.to_numpy().reshape(-1, len(labels))
     mean = groups if between else groups[0]
     return Conditions(labels, mean, covariance, origin, levels, between)
