@@ -171,6 +171,19 @@ def test_greatest_steps_are_those_of_every_state():
         assert steps.delta_p_h == pytest.approx(change, rel=1e-9)
 
 
+def test_the_greatest_step_is_found_at_few_utilizations(operators, monkeypatch):
+    """Every corrector and every table of bounds asks for it."""
+    performance, sizes = tl.HumanModel.performance, []
+
+    def counted(human, r):
+        sizes.append(np.size(r))
+        return performance(human, r)
+
+    monkeypatch.setattr(tl.HumanModel, "performance", counted)
+    step_bounds(operators["2"])
+    assert sum(sizes) < 100_000
+
+
 def test_thresholds_at_their_limits_are_outside(operators):
     limits = threshold_limits(operators["pilot"], 0.0)
     assert limits.contains(np.nextafter(limits.lower, 1.0), np.nextafter(limits.upper, -1.0))

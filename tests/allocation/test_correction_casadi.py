@@ -126,6 +126,36 @@ def test_without_a_plan_the_thresholds_are_held(options, words):
     assert plan.table()["lower"][0] == FAR[2]
 
 
+class Fails(casadi.Callback):
+    """A function of the user's that CasADi can differentiate, but not evaluate."""
+
+    def __init__(self):
+        casadi.Callback.__init__(self)
+        self.construct("fails", {"enable_fd": True})
+
+    def eval(self, values):
+        raise ValueError("no such cost")
+
+
+def test_a_cost_that_raises_on_the_way_holds_the_thresholds():
+    fails = Fails()
+    plan = engine(10, extra_cost=lambda x, u, k: fails(x[0])).step(*FAR)
+    assert (plan.status, plan.c_l, plan.c_u) == ("held", 0.0, 0.0)
+    assert "no such cost" in plan.message
+
+
+def test_a_solver_that_raises_holds_the_thresholds(monkeypatch):
+    ours = engine(12)
+
+    def raises(**_):
+        raise RuntimeError("Error in solver\nlinear solver is missing")
+
+    monkeypatch.setattr(ours.program, "_solver", raises)
+    plan = ours.step(*FAR)
+    assert (plan.status, plan.c_l, plan.c_u) == ("held", 0.0, 0.0)
+    assert "linear solver is missing" in plan.message
+
+
 def test_a_solver_that_returns_nonsense_is_not_believed(monkeypatch):
     ours = engine(12)
     monkeypatch.setattr(ours.program, "_solved", lambda *_: (np.full((2, 12), 1.0), ""))

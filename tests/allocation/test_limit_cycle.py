@@ -1,6 +1,7 @@
 """The steady cycle against long simulation."""
 
 import itertools
+import tracemalloc
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 import trustlab as tl
 from tests.allocation.cases import phases
-from trustlab.allocation import limit_cycle, simulate_allocation
+from trustlab.allocation import limit_cycle, simulate_allocation, steady
 from trustlab.allocation.steady import SCREEN, endless_phase, survey
 from trustlab.reproduction import published_table
 
@@ -172,6 +173,17 @@ def test_a_survey_has_the_motions_of_limit_cycle(operators):
             assert row["mean_r"] == pytest.approx(cycle.mean_r, abs=max(near, 1e-3))
             assert row["mean_p_r"] == pytest.approx(cycle.mean_p_r, abs=max(near, 1e-4))
             assert row["r_low"] == pytest.approx(cycle.r_low, abs=near)
+
+
+def test_a_survey_of_many_pairs_is_small(operators, monkeypatch):
+    """Of a posterior a fine grid has a million motions, 26 numbers each."""
+    monkeypatch.setattr(steady, "steady_motion", lambda *_: np.ones((6, 3)))
+    pairs = steady.grid_of_pairs(0.0, 0.1, 250)
+    tracemalloc.start()
+    survey([operators["2"]], pairs, SCREEN)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 900 * len(pairs)
 
 
 # --- phases that never end ------------------------------------------------------------------------

@@ -77,6 +77,17 @@ def test_performance_rule_is_algorithm_2():
     assert ThresholdRule(-0.1, 0.1).step(0.1, 0.39) == 0
 
 
+def test_a_step_checks_again_only_what_was_assigned(monkeypatch):
+    """A robot asks at every sample."""
+    rule, again = ThresholdRule(-0.1, 0.1), []
+    monkeypatch.setattr(ThresholdRule, "__post_init__", lambda _: again.append(1))
+    assert [rule.step(tsc) for tsc in (0.2, 0.0, -0.1)] == [0, 0, 1]
+    assert not again
+    rule.upper = np.inf
+    rule.step(0.2)
+    assert again
+
+
 def test_a_rule_driven_with_nan_says_so_and_stays():
     rule = ThresholdRule(0.0, 0.4)
     rule.step(tsc=0.5)

@@ -162,11 +162,17 @@ class CorrectionProgram:
             The clipped plan.
         """
         began = perf_counter()
-        corrections, reason = self._solved(mode, path)
+        try:
+            corrections, reason = self._solved(mode, path)
+            moved, _, other = self.corrector.followed(
+                state, mode, np.ascontiguousarray(corrections)
+            )
+            plans = self._judged(cost, path), self._judged(moved, other)
+        except RuntimeError as error:  # CasADi's, as where it cannot evaluate the user's functions
+            reason = str(error).strip().splitlines()[-1][-200:]
+            return np.nan, path, UNSOLVED.format(reason=reason)
         if perf_counter() - began > self.limit:
             reason = f"it takes longer than limit = {self.limit:g} s"
-        moved, _, other = self.corrector.followed(state, mode, np.ascontiguousarray(corrections))
-        plans = self._judged(cost, path), self._judged(moved, other)
         cost, path = min(plans, key=itemgetter(0))
         if not np.isfinite(cost):
             reason = "no plan has a finite cost"

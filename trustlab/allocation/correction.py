@@ -399,8 +399,17 @@ class ThresholdCorrector:
         self._range = tsc.robot.p_min, tsc.robot.p_max
         self.incentive = function("incentive", incentive)
         for r in (0.1, 0.5, 0.9):
-            low, high = incentive(r, 0.5 * sum(self._range), self.c_b, *self._range)
-            if not sound.py_func(low, high, self.c_b):
+            try:
+                low, high = incentive(r, 0.5 * sum(self._range), self.c_b, *self._range)
+                accepted = sound.py_func(low, high, self.c_b)
+                low, high = float(low), float(high)
+            except Exception as error:
+                raise ValueError(
+                    "incentive must be a function of r, p_r, c_b, p_min and p_max that returns the "
+                    f"least and the greatest correction, but at r = {r} it raises "
+                    f"{type(error).__name__}: {error}"
+                ) from error
+            if not accepted:
                 raise ValueError(
                     f"incentive must return numbers in [−c_b, 0] and [0, c_b], c_b = "
                     f"{self.c_b:g}, but at r = {r} returns {low:g} and {high:g}"

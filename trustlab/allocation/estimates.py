@@ -299,9 +299,9 @@ def suggestion_episodes(t, mode, suggested, deadline):
             broken = False
         elif mode[k] != before or suggested[k] == before:
             broken = True
-        row = rows[count - 1]
-        if mode[k] == row[1] and np.isnan(row[2]):
-            row[2] = t[k] - row[0]
+        now = count - 1
+        if mode[k] == rows[now, 1] and np.isnan(rows[now, 2]):
+            rows[now, 2] = t[k] - rows[now, 0]
     for row in rows[:count]:
         start, _, delay, shown = row
         row[3] = WITHDRAWN if t[-1] - start >= deadline else OPEN

@@ -64,10 +64,15 @@ def step_bounds(tsc: TscModel, r_low: float = 0.05, r_high: float = 0.95) -> Ste
     high = between("r_high", r_high, 0.0, 1.0)
     in_order("r_low", low, "r_high", high)
     human, robot = tsc.human, tsc.robot
-    # So fine a grid misses the greatest change by less than a billionth of it.
-    r = np.linspace(low, high, 200_001)
-    after = next_utilization.py_func(r, np.array([[0.0], [1.0]]), human.a)
-    delta_p_h = float(np.abs(human.performance(after) - human.performance(r)).max())
+    delta_p_h = 0.0
+    for mode in (0.0, 1.0):
+        r = np.linspace(low, high, 4001)
+        for _ in range(3):  # the last grid lies between the neighbours of the best point before
+            after = next_utilization.py_func(r, mode, human.a)
+            change = np.abs(human.performance(after) - human.performance(r))
+            k = int(np.argmax(change))
+            r = np.linspace(r[max(k - 1, 0)], r[min(k + 1, 4000)], 4001)
+        delta_p_h = max(delta_p_h, float(change[k]))
     delta_p_r = max((1.0 - robot.a) * (robot.p_max - robot.p_min), robot.b * human.p_max)
     return StepBounds(delta_p_h, delta_p_r, tsc.delta(delta_p_r, delta_p_h))
 

@@ -87,7 +87,10 @@ class ThresholdRule:
         ValueError
             If TSC is not a finite number, or what was assigned is no rule; the mode stays.
         """
-        self.__post_init__()
+        numbers = type(self.lower) is type(self.upper) is float and type(self.mode) is int
+        ordered = numbers and -np.inf < self.lower < self.upper < np.inf
+        if not (ordered and 0 <= self.mode <= 1):  # assigned since
+            self.__post_init__()
         tsc = finite_number("tsc, which rule (2.8) needs,", tsc)
         self.mode = int(threshold_mode(tsc, self.lower, self.upper, self.mode))
         return self.mode

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +30,11 @@ ROWS = "r", "p_r", "p_h", "tsc", "dwell_autonomous", "dwell_manual"
 DWELL = 4
 LOW, HIGH, MEAN = range(3)
 COLUMNS = [column for row in ROWS for column in (f"{row}_low", f"{row}_high", f"mean_{row}")]
+FIELDS = ["lower", "upper", *COLUMNS, "off_beta", "robot_points", "human_points"]
+MOTION = np.dtype(
+    [("model", int), ("p_switches", bool), ("p_encloses", bool)]
+    + [(name, float) for name in FIELDS]
+)
 
 # Time constants of the slower process after which a phase counts as endless: e⁻⁵⁰ is left.
 ENDLESS = 50.0
@@ -112,6 +117,33 @@ def longest_phase(c: TscConstants) -> int:
     return int(ENDLESS * slowest(c)) + 100
 
 
+def motions(
+    models: Iterable[TscModel],
+    pairs: np.ndarray | list,
+    lengths: tuple[float, int, float],
+    starts: tuple[bool, ...],
+) -> Iterator[tuple]:
+    """Yield the motions of `survey`, records of MOTION."""
+    settle, cycles, quick = lengths
+    for number, tsc in enumerate(models):
+        c = tsc.constants()
+        times = max(1, int(-1.0 / math.log(min(c.a_r, c.a_pr)) / quick))
+        kept = c.a_pr**times
+        gain = c.b_pr * ((1.0 - kept) / (1.0 - c.a_pr))
+        c = c._replace(a_r=c.a_r**times, a_pr=kept, b_pr=gain)
+        follow = settle * slowest(c), cycles, longest_phase(c)
+        for lower, upper in np.asarray(pairs).tolist():
+            for rested in starts:
+                motion = steady_motion(c, lower, upper, rested, *follow)
+                (low, high, _), (*_, p_r), (*_, p_h) = motion[:3].tolist()
+                verdicts = low <= high, low <= c.beta <= high
+                off_beta = max(low - c.beta, c.beta - high)
+                of_robot = (p_r - c.p_r_min) / (c.p_r_max - c.p_r_min)
+                of_human = (p_h - c.p_h_min) / (c.p_h_max - c.p_h_min)
+                seen = *motion.ravel().tolist(), off_beta, 100.0 * of_robot, 100.0 * of_human
+                yield (number, *verdicts, lower, upper, *seen)
+
+
 def survey(
     models: Iterable[TscModel],
     pairs: np.ndarray | list,
@@ -127,26 +159,7 @@ def survey(
     utilization stays from β, and `robot_points` and `human_points`, mean performance in points of
     (2.39): per cent of its range.
     """
-    rows = []
-    settle, cycles, quick = lengths
-    for number, tsc in enumerate(models):
-        c = tsc.constants()
-        times = max(1, int(-1.0 / math.log(min(c.a_r, c.a_pr)) / quick))
-        kept = c.a_pr**times
-        gain = c.b_pr * ((1.0 - kept) / (1.0 - c.a_pr))
-        c = c._replace(a_r=c.a_r**times, a_pr=kept, b_pr=gain)
-        follow = settle * slowest(c), cycles, longest_phase(c)
-        for lower, upper in np.asarray(pairs).tolist():
-            for rested in starts:
-                motion = steady_motion(c, lower, upper, rested, *follow)
-                (low, high, _), (*_, p_r), (*_, p_h) = motion[:3]
-                verdicts = low <= high, low <= c.beta <= high, max(low - c.beta, c.beta - high)
-                of_robot = (p_r - c.p_r_min) / (c.p_r_max - c.p_r_min)
-                of_human = (p_h - c.p_h_min) / (c.p_h_max - c.p_h_min)
-                points = 100.0 * of_robot, 100.0 * of_human
-                rows.append((number, lower, upper, *motion.ravel(), *verdicts, *points))
-    seen = "p_switches", "p_encloses", "off_beta", "robot_points", "human_points"
-    return pd.DataFrame(rows, columns=["model", "lower", "upper", *COLUMNS, *seen])
+    return pd.DataFrame(np.fromiter(motions(models, pairs, lengths, starts), MOTION))
 
 
 def grid_of_pairs(low: float, high: float, count: int) -> np.ndarray:
@@ -346,25 +359,25 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
     """
     of_class("tsc", tsc, TscModel)
     lower, upper = in_order("lower", lower, "upper", upper)
-    motions = survey([tsc], [(lower, upper)], ALONE, BOTH).to_dict("records")
-    going = [motion for motion in motions if motion["p_switches"]]
+    both = np.fromiter(motions([tsc], [(lower, upper)], ALONE, BOTH), MOTION)
+    going = both[both["p_switches"]]
     endless = endless_phase(tsc, lower, upper)
     ranges: Any = {"model": tsc, "lower": lower, "upper": upper}
-    if not going:
+    if going.size == 0:
         return LimitCycle(exists=False, reason=endless, **ranges)
     reason = "keeps switching" + (f"; but {endless}" if endless else "")
-    if np.ptp([(motion["r_low"], motion["r_high"]) for motion in going], axis=0).max() > COEXIST:
+    if max(np.ptp(going["r_low"]), np.ptp(going["r_high"])) > COEXIST:
         reason += "; from rest it settles to another motion than from β, and ranges enclose both"
     for name in QUANTITIES.values():
-        ranges[f"{name}_low"] = min(motion[f"{name}_low"] for motion in going)
-        ranges[f"{name}_high"] = max(motion[f"{name}_high"] for motion in going)
+        ranges[f"{name}_low"] = float(going[f"{name}_low"].min())
+        ranges[f"{name}_high"] = float(going[f"{name}_high"].max())
     return LimitCycle(
         exists=True,
-        always=len(going) == 2 and not endless,
+        always=going.size == 2 and not endless,
         reason=reason,
-        encloses_beta=all(motion["p_encloses"] for motion in going),
-        mean_r=going[0]["mean_r"],
-        mean_p_r=going[0]["mean_p_r"],
+        encloses_beta=bool(going["p_encloses"].all()),
+        mean_r=float(going["mean_r"][0]),
+        mean_p_r=float(going["mean_p_r"][0]),
         **ranges,
     )
 
