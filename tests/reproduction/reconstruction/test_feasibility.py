@@ -216,14 +216,14 @@ TWO = {"n": 36, "mean": {"A": "5.0", "B": "6.0"}, "sd": {"A": "1.0", "B": "2.0"}
             THREE,
             {"sd": {"A": "3.5", "B": "1", "F": "1"}, "scale": (1, 7)},
             "sd.A",
-            "for 20 values on the scale",
+            "for 20 values from 1 to 7 with mean 5.0",
         ),
         # All but one at 0: at most the mean times √n, 5.05 √20 = 22.6.
         (
             THREE,
             {"sd": {"A": "23.7", "B": "1", "F": "1"}, "scale": (0, np.inf)},
             "sd.A",
-            "for 20 values on the scale",
+            "for 20 values from 0 to inf with mean 5.0",
         ),
         (
             THREE,

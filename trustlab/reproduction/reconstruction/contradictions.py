@@ -133,7 +133,8 @@ def _impossible(
         elif test == "sd" and condition in study.mean and f"mean.{condition}" not in wrong:
             most = greatest_sd(printed_interval(study.mean[condition]), n, study.scale)
             if most < math.inf:
-                where = f" for {n} values on the scale with mean {study.mean[condition]}"
+                within = "from {:g} to {:g}".format(*study.scale)
+                where = f" for {n} values {within} with mean {study.mean[condition]}"
         if test == "mauchly" and not 2 < k <= n:
             few = f"{n} subjects are too few for {k} conditions"
             wrong[name] = few if k > 2 else "sphericity always holds for two conditions"
