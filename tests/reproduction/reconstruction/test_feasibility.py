@@ -231,6 +231,12 @@ TWO = {"n": 36, "mean": {"A": "5.0", "B": "6.0"}, "sd": {"A": "1.0", "B": "2.0"}
             "mean.A",
             "7 on its scale",
         ),
+        (
+            THREE,
+            {"mean": {"A": ">7", "B": "4", "F": "3"}, "scale": (1, 7)},
+            "mean.A",
+            "7 on its scale",
+        ),
         (THREE, {"t_test": {"t": "2"}}, "t_test.t", "compares two conditions, and there are 3"),
         (
             THREE,

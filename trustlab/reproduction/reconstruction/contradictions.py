@@ -148,8 +148,9 @@ def _impossible(
 
 
 def _meets(s: Constraint, least: float, most: float) -> bool:
-    """Return whether a number agrees with a value from least to most; “<x” lies below x."""
-    return least <= s.high and s.low <= most and (s.low > -math.inf or s.high > least)
+    """Return whether a number agrees with a value from least to most; “<x” excludes x."""
+    bounds = (s.low > -math.inf or s.high > least) and (s.high < math.inf or s.low < most)
+    return least <= s.high and s.low <= most and bounds
 
 
 def _where_degrees_belong(study: PublishedStudy) -> str:
