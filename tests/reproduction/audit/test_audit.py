@@ -248,6 +248,13 @@ def test_a_contradiction_of_a_study_is_a_verdict():
     assert row["reason"].startswith("Impossible: sd.C5 = 0.250 must lie between 0 and 0.2")
 
 
+def test_a_mean_may_be_printed_as_a_bound():
+    """Some whole points always lie below one."""
+    rows = quick({"uav.tlx/mean.C1": "<55", "table_2.4/C4/tlx_mean": "<50"})
+    assert rows["uav.tlx/scoring"].printed.startswith("<55, ")
+    assert "none of" not in rows["table_2.4/tlx/scoring"].reason
+
+
 def test_participant_3_follows_from_other_thresholds(verdicts):
     """The whole column by one pair of thresholds."""
     assert verdicts.loc["table_2.2/r_l/3", "verdict"] == "differs"

@@ -208,25 +208,32 @@ TWO = {"n": 36, "mean": {"A": "5.0", "B": "6.0"}, "sd": {"A": "1.0", "B": "2.0"}
         (THREE, {"epsilon": "1.2"}, "epsilon", "must lie between 0.5 and 1"),
         (THREE, {"pairs": {"A-F": "1.2"}}, "pairs.A-F", "must lie between 0 and 1"),
         (THREE, {"mauchly": {"df": "9"}}, "mauchly.df", "must be 2 for 3 conditions"),
-        (THREE, {"mauchly": {"chi2": "-1"}}, "mauchly.chi2", "must lie between"),
+        (THREE, {"mauchly": {"chi2": "-1"}}, "mauchly.chi2", "must be 0 or more$"),
         (THREE, {"mauchly": {"chi2": "9.9", "p": ".5"}}, "mauchly.p", "χ² gives 0.006"),
-        (THREE, {"sd": {"A": "-1", "B": "1", "F": "1"}}, "sd.A", "must lie between 0 and"),
+        (THREE, {"sd": {"A": "-1", "B": "1", "F": "1"}}, "sd.A", "must be 0 or more$"),
+        (THREE, {"anova": {"F": "-3"}}, "anova.F", "must be 0 or more$"),
         (
             THREE,
             {"sd": {"A": "3.5", "B": "1", "F": "1"}, "scale": (1, 7)},
             "sd.A",
-            "for 20 values on the scale",
+            "for 20 values from 1 to 7 with mean 5.0",
         ),
         # All but one at 0: at most the mean times √n, 5.05 √20 = 22.6.
         (
             THREE,
             {"sd": {"A": "23.7", "B": "1", "F": "1"}, "scale": (0, np.inf)},
             "sd.A",
-            "for 20 values on the scale",
+            "for 20 values from 0 to inf with mean 5.0",
         ),
         (
             THREE,
             {"mean": {"A": "8", "B": "4", "F": "3"}, "scale": (1, 7)},
+            "mean.A",
+            "7 on its scale",
+        ),
+        (
+            THREE,
+            {"mean": {"A": ">7", "B": "4", "F": "3"}, "scale": (1, 7)},
             "mean.A",
             "7 on its scale",
         ),
@@ -249,6 +256,18 @@ def test_a_number_that_cannot_be_is_left_out_with_its_reason(fields, changes, na
     assert list(answer.left_out) == [name]
     assert re.search(reason, answer.left_out[name]), answer.left_out[name]
     assert answer.left_out[name] in answer.message
+
+
+@pytest.mark.parametrize("name", ["p", "a.p", "pdf", "epsilon"])
+def test_conditions_may_have_the_names_of_statistics(name):
+    """A negative mean of "pdf" is no number of degrees of freedom, one of "p" no p-value."""
+    cells = {"mean": {name: "-5.0", "B": "-6.0"}, "sd": {name: "1.0", "B": "1.0"}}
+    study = tl.PublishedStudy("s", 12, **cells)
+    assert tl.feasibility(study).feasible
+    assert round(tl.reconstruct(study).groupby("condition")["value"].mean()[name], 1) == -5.0
+    answer = tl.feasibility(replace(study, scale=(-5.5, 7)))
+    assert list(answer.left_out) == ["mean.B"]
+    assert "-5.5 and 7 on its scale" in answer.message
 
 
 def test_too_many_degrees_of_freedom_were_not_corrected():

@@ -13,6 +13,7 @@ from scipy import stats
 import trustlab as tl
 from tests import textbook
 from trustlab.reproduction import ReconstructionError
+from trustlab.reproduction.reconstruction import search
 
 STUDIES = tl.published_studies()
 SLIPS = {"teleop.tracking_error": {"anova.df1"}}
@@ -96,8 +97,11 @@ def test_bad_input_is_refused():
 
 def edge(name):
     """A study that prints the statistics of true data at an edge, and of few people."""
-    rng, digits = np.random.default_rng(0), 2
-    if name == "means printed equal":
+    rng, digits, scale = np.random.default_rng(0), 2, (-np.inf, np.inf)
+    if name == "right or wrong":
+        values = rng.normal(size=(24, 1)) + rng.normal(size=(24, 3)) + [0.0, 0.5, 1.0]
+        values, scale = (values > -0.3).astype(float), (0.0, 1.0)
+    elif name == "means printed equal":
         values = rng.normal(size=(20, 4)) * 0.2 + rng.normal(size=(20, 1)) * 0.2
         values += 5.0 + np.array([-0.04, 0.03, 0.01, 0.0]) - values.mean(axis=0)
         digits = 1
@@ -111,7 +115,7 @@ def edge(name):
     anova = textbook.printed_anova(found, values.shape)
     del anova["p"]
     cells = textbook.printed_cells(found, digits, 2)
-    return tl.PublishedStudy("s", len(values), **cells, anova=anova)
+    return tl.PublishedStudy("s", len(values), **cells, anova=anova, scale=scale)
 
 
 def without_difference(p):
@@ -119,7 +123,15 @@ def without_difference(p):
     return tl.PublishedStudy("s", 10, **cells, t_test={"t": "0.00", "p": p})
 
 
-EDGES = ["means printed equal", "F of 100,000", "3 in 3", "4 in 4", "3 in 5", "4 in 6"]
+EDGES = [
+    "right or wrong",
+    "means printed equal",
+    "F of 100,000",
+    "3 in 3",
+    "4 in 4",
+    "3 in 5",
+    "4 in 6",
+]
 STUDIES_AT_THE_EDGE = {name: edge(name) for name in EDGES}
 STUDIES_AT_THE_EDGE |= {f"p = {p}": without_difference(p) for p in ("1.000", ".999", "1", ">.999")}
 
@@ -128,6 +140,16 @@ def test_no_data_is_an_error_that_says_what_the_closest_miss():
     """Unadjusted, the pairs of this study are too far apart for its F."""
     with pytest.raises(ReconstructionError, match="60 starts; the closest miss "):
         tl.reconstruct(STUDIES["uav.human_performance"], p_adjust="none")
+
+
+def test_where_no_pairs_are_printed_one_adjustment_is_tried(monkeypatch):
+    """Of its pairs nothing is known; the spread of C can be cancelled by A and B in part only."""
+    monkeypatch.setattr(search, "STARTS", 3)
+    cells = {"mean": {"A": "0.00", "B": "1.00", "C": "2.00"}}
+    cells["sd"] = {"A": "1.00", "B": "1.00", "C": "10.00"}
+    study = tl.PublishedStudy("s", 10, **cells, anova={"F": "0.21"})
+    with pytest.raises(ReconstructionError, match="p_adjust='bonferroni': No data"):
+        tl.reconstruct(study)
 
 
 @pytest.mark.parametrize("name", STUDIES_AT_THE_EDGE)

@@ -72,6 +72,8 @@ def is_attainable(number: PrintedNumber, units: Fraction) -> bool:
 
     `units` are whole points per unit of the scale: respondents × items for ratings in steps of 1.
     """
+    if not all(map(math.isfinite, number.compatible)):  # printed as a bound
+        return True
     least, most = (Fraction(end) * units for end in number.compatible)
     return math.ceil(least) <= most
 

@@ -36,7 +36,8 @@ class Constraint(NamedTuple):
     @property
     def is_p(self) -> bool:
         """Whether it is a p-value."""
-        return self.name.startswith("pairs.") or self.name.endswith((".p", ".violated"))
+        tests = ("anova.p", "mauchly.p", "mauchly.violated", "t_test.p")
+        return self.name.startswith("pairs.") or self.name in tests
 
 
 class Reading(NamedTuple):

@@ -126,13 +126,15 @@ def _impossible(
         test, _, condition = name.partition(".")
         least, most = limits.get(name, (0.0, 1.0 if s.is_p else math.inf))
         where = ""
-        if "df" in name or name == "epsilon":
+        if name in limits and name != "anova.eta2":
             where = f" for {k} conditions, n = {n}{_where_degrees_belong(study)}"
         elif test == "mean":
             (least, most), where = study.scale, " on its scale"
         elif test == "sd" and condition in study.mean and f"mean.{condition}" not in wrong:
             most = greatest_sd(printed_interval(study.mean[condition]), n, study.scale)
-            where = f" for {n} values on the scale with mean {study.mean[condition]}"
+            if most < math.inf:
+                within = "from {:g} to {:g}".format(*study.scale)
+                where = f" for {n} values {within} with mean {study.mean[condition]}"
         if test == "mauchly" and not 2 < k <= n:
             few = f"{n} subjects are too few for {k} conditions"
             wrong[name] = few if k > 2 else "sphericity always holds for two conditions"
@@ -140,13 +142,15 @@ def _impossible(
             wrong[name] = f"a t-test compares two conditions, and there are {k}"
         elif not _meets(s, least, most):
             within = f"be {most:g}" if least == most else f"lie between {least:.4g} and {most:.4g}"
+            within = within if most < math.inf else f"be {least:.4g} or more"
             wrong[name] = f"{name} = {s.text} must {within}{where}"
     return wrong
 
 
 def _meets(s: Constraint, least: float, most: float) -> bool:
-    """Return whether a number agrees with a value from least to most; “<x” lies below x."""
-    return least <= s.high and s.low <= most and (s.low > -math.inf or s.high > least)
+    """Return whether a number agrees with a value from least to most; “<x” excludes x."""
+    bounds = (s.low > -math.inf or s.high > least) and (s.high < math.inf or s.low < most)
+    return least <= s.high and s.low <= most and bounds
 
 
 def _where_degrees_belong(study: PublishedStudy) -> str:

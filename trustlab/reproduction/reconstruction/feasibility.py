@@ -188,9 +188,12 @@ def reconstruct(study: PublishedStudy, seed: int = 0, p_adjust: str | None = Non
     {'C1': 54.3, 'C2': 50.1, 'C3': 44.2, 'C4': 51.9, 'C5': 52.8}
     """
     of_class("study", study, PublishedStudy)
-    # Where none is given, first what the fewest numbers contradict.
-    fewest = sorted(ADJUSTMENTS, key=lambda each: len(contradictions(study, each)))
-    for candidate in fewest if p_adjust is None else [p_adjust]:
+    candidates = [p_adjust]
+    if p_adjust is None:  # first what the fewest numbers contradict; without pairs all are the same
+        pairs = study.pairs or study.significant_without_p
+        candidates = sorted(ADJUSTMENTS, key=lambda each: len(contradictions(study, each)))
+        candidates = candidates if pairs else candidates[:1]
+    for candidate in candidates:
         answer = feasibility(study, candidate, seed)
         if answer.rest_feasible:
             break

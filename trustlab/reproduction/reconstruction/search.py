@@ -1,16 +1,17 @@
 """
 Data that have all printed statistics, by least squares.
 
-The scores of random people are x = m + Gz, with z normal, and the end of the scale where that lies
-beyond it. The unknowns are m and G. How far each statistic lies outside its printed interval is
-minimised; where nothing does, the data are a solution.
+The scores of random people are m + Gz, with z normal, on a measure without limits; where its scale
+has one end, of their distances to it the logarithms are, and where it has two, of their positions
+between them the logits. The unknowns are m and G. How far each statistic lies outside its printed
+interval is minimised; where nothing does, the data are a solution.
 """
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import optimize
+from scipy import optimize, special
 
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import Constraint, Reading, statistics
@@ -71,9 +72,25 @@ class Search:
 
     def _scores(self, x: np.ndarray, people: np.ndarray) -> np.ndarray:
         """Return the scores of people (n, k) by unknowns (B, …), shape (B, n, k)."""
-        k = self._study.k
-        scores = x[:, None, :k] + people @ x[:, k:].reshape(-1, k, k)
-        return np.clip(self._centre + self._spread * scores, *self._study.scale)
+        k, (low, high) = self._study.k, self._study.scale
+        y = x[:, None, :k] + people @ x[:, k:].reshape(-1, k, k)
+        if np.isfinite(high - low):
+            return low + (high - low) * special.expit(y)
+        if np.isfinite(low):
+            return low + self._spread * np.exp(y)
+        if np.isfinite(high):
+            return high - self._spread * np.exp(-y)
+        return self._centre + self._spread * y
+
+    def _unlimited(self, mean: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return about the means and standard deviations of y of `_scores` for those of scores."""
+        if not np.isfinite(self._study.scale).any():
+            return (mean - self._centre) / self._spread, sd / self._spread
+        least, (low, high) = np.maximum(sd / 3.0, 1e-6 * self._spread), self._study.scale
+        below, above = (np.maximum(x, least) for x in (mean - low, high - mean))
+        ratio = np.where(np.isfinite(below), below, self._spread)
+        ratio = ratio / np.where(np.isfinite(above), above, self._spread)
+        return np.log(ratio), sd * (1.0 / below + 1.0 / above)
 
     def _outside(
         self, x: np.ndarray, people: np.ndarray, width: float, margin: float
@@ -104,8 +121,9 @@ class Search:
         mean, sd = (np.where(np.isfinite(x), x, y) for x, y in zip(self._cells, drawn, strict=True))
         common = rng.uniform(0.0, 3.0) * np.abs(rng.standard_normal((k, 1)))
         loading = rng.standard_normal((k, k)) + common
+        mean, sd = self._unlimited(mean, sd)
         loading *= sd / np.linalg.norm(loading, axis=0)
-        return np.concatenate([mean - self._centre, loading.ravel()]) / spread
+        return np.concatenate([mean, loading.ravel()])
 
     @np.errstate(all="ignore")  # candidates may be degenerate, and numbers that are printed, too
     def solve(self, rng: np.random.Generator) -> Found:
