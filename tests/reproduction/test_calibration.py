@@ -145,3 +145,15 @@ def test_more_checks_than_the_posterior_has_draws_are_refused():
 def test_bad_input(arguments, says):
     with pytest.raises(ValueError, match=says):
         tl.calibrate(**arguments)
+
+
+def test_people_of_checks_are_assumptions():
+    effect = observed_effects("table_2.6")["id"].item()
+    drawn = pd.DataFrame({"trust_bias": np.linspace(-0.4, 0.4, 50), effect: np.linspace(0, 1, 50)})
+    found = Calibration("table_2.6", {"trust_bias": (-0.4, 0.4)}, drawn, {"n": 6})
+    with pytest.raises(ValueError, match="people must be of class DataFrame"):
+        found.checks(1, people={"trust_bias": [0.1]})
+    with pytest.raises(ValueError, match="did you mean 'trust_bias'"):
+        found.checks(1, people=pd.DataFrame({"trust_bia": [0.1]}))
+    with pytest.raises(ValueError, match=r"trust_bias must lie in"):
+        found.checks(1, people=pd.DataFrame({"trust_bias": [9.0]}))

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 
@@ -101,3 +102,26 @@ def test_bad_input_is_named():
     unrated = replace(panel, ratings=ratings)
     with pytest.raises(ValueError, match="no rating after an event"):
         tl.fit_trust(unrated)
+
+
+def rated(*rows):
+    """Return a panel of people rated after each of four events."""
+    table = pd.DataFrame(rows, columns=range(4)).stack().rename("rating")  # noqa: PD013
+    table = table.rename_axis(["person", "trial"]).reset_index()
+    table["p_r"] = [0.1, 0.8, 0.4, 0.9] * len(rows)
+    return tl.read_people(table, {"resolution": 0.1})
+
+
+def test_pairs_of_a_split_that_few_people_are_rated_in_are_left_out():
+    """A third of three events is one: one person rated it, or nobody."""
+    for last in (0.5, np.nan):
+        panel = rated(*([0.5, 0.6, 0.4 + 0.1 * k, np.nan] for k in range(3)), [0.4, 0.5, 0.7, last])
+        result = tl.compare_trust_models(panel, ["persistence", "constant"], folds=2)
+        assert result.paired()["split"].unique().tolist() == ["people"]
+
+
+def test_one_model_has_no_pairs():
+    panel = rated([0.5, 0.6, 0.4, 0.5], [0.4, 0.5, 0.7, 0.6])
+    pairs = tl.compare_trust_models(panel, ["constant"], folds=2).paired()
+    assert pairs.empty
+    assert {"split", "measure", "model", "ci_high", "people"} < set(pairs)

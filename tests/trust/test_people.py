@@ -144,3 +144,13 @@ def test_a_live_study_is_a_panel(tmp_path):
     np.testing.assert_allclose(panel.events.p_r.ravel(), rows["p_r"] / 0.5)
     assert np.isnan(panel.ratings[:, 0]).all()
     assert "scripted hands" in panel.source
+
+
+def test_rows_without_a_name_are_one_persons():
+    """Their ratings stay with them, and the others' with the others."""
+    rows = {"person": [np.nan, np.nan, "b", "b"], "trial": [0, 1, 0, 1]}
+    table = pd.DataFrame({**rows, "rating": [0.1, 0.2, 0.8, 0.9], "p_r": 1.0})
+    panel = tl.read_people(table)
+    assert len(panel) == len(panel.ratings) == 2
+    assert panel.people[1] == "b"
+    np.testing.assert_array_equal(panel.ratings[1], [0.8, 0.9])

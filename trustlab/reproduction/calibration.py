@@ -27,7 +27,7 @@ from scipy import special
 from scipy.spatial import KDTree
 
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import between, in_order, one_of, shown, whole_number
+from trustlab.models.checks import between, in_order, of_class, one_of, shown, whole_number
 from trustlab.models.display import Result
 from trustlab.models.files import write_atomically
 from trustlab.operators.ground_robot import checked_assumptions
@@ -267,8 +267,11 @@ class Calibration(Result):
         """
         seed = whole_number("seed", seed, least=0)
         people = self.posterior if people is None else people
+        of_class("people", people, pd.DataFrame, "a row each, a column per assumption")
         studies = whole_number("studies", studies, most=len(people))
         drawn = people.sample(studies, random_state=seed).to_dict("records")
+        for each in drawn:
+            checked_assumptions(each, EVERY_ASSUMPTION)
         runs = [{"study": self.study, "n": self.settings["n"]} | row for row in drawn]
         done = run_campaign(simulated_study, runs, seed=seed, progress=False, n_jobs=n_jobs)
         effects = self.observed.set_index("id")

@@ -90,8 +90,8 @@ class TrustComparison(Result):
         apart = wide.drop(columns=reference).sub(wide[reference], axis=0)
         values = apart.stack()  # noqa: PD013 (melting would lose the order)
         table = values.groupby(["split", "measure", "model"], sort=False)
-        table = table.agg(difference="mean", se="sem", people="size").query("people > 1")
-        table = table.loc[list(self.scores["split"].unique())]
+        table = table.agg(difference="mean", se="sem", people="count").query("people > 1")
+        table = table.reindex(self.scores["split"].unique(), level="split")
         half = special.stdtrit(table["people"] - 1, 0.975) * table["se"]
         table.insert(2, "ci_low", table["difference"] - half)
         table.insert(3, "ci_high", table["difference"] + half)

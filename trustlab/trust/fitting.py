@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import LinearConstraint, NonlinearConstraint, OptimizeResult, minimize
+from scipy.optimize import OptimizeResult, brentq, minimize
 
 from trustlab.models.checks import of_class, one_of
 from trustlab.models.display import Result
@@ -24,6 +24,10 @@ STEP = 1e-3
 EDGE = 9.0
 # Fall of the log-likelihood at the ends of a 95 % interval.
 FALL = 1.92
+# How much more it may have fallen there.
+TOLERANCE = 1e-3
+# Ends of intervals so near each other are one.
+NEAR = 1e-3
 # Least curvature of the loss that a search takes for true.
 FLAT = 1.0
 # Farther from 0 the loss may be too flat for a search to begin.
@@ -274,33 +278,47 @@ def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
     def along(z: np.ndarray) -> np.ndarray:
         return loss(centre + z @ axes.T)
 
+    least = loss(centre[None])[0]
+
+    @cache
+    def room(*z: float) -> tuple[float, np.ndarray]:
+        """Return by how much the log-likelihood may still fall, and its slope."""
+        value, slope = value_and_slope(along, np.array(z))
+        return least + FALL - value, -slope
+
+    both = np.vstack([axes, -axes])
+    offset = np.append(centre, -centre)
     within = [
-        NonlinearConstraint(
-            lambda z: along(z[None])[0],
-            -np.inf,
-            loss(centre[None])[0] + FALL,
-            jac=lambda z: value_and_slope(along, z)[1],
-        ),
-        LinearConstraint(axes, -EDGE - centre, EDGE - centre),
+        {"type": "ineq", "fun": lambda z: room(*z)[0], "jac": lambda z: room(*z)[1]},
+        {"type": "ineq", "fun": lambda z: EDGE - offset - both @ z, "jac": lambda _: -both},
     ]
+
+    def farthest(way: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """Return a point within, far along a way."""
+        z = minimize(
+            lambda z: -way @ z,
+            start,
+            jac=lambda _: -way,
+            method="SLSQP",
+            constraints=within,
+            options={"ftol": 1e-7},
+        ).x
+        # A search may stop outside: back towards the centre then.
+        z = np.linalg.solve(axes, np.clip(centre + axes @ z, -EDGE, EDGE) - centre)
+        if room(*z)[0] < -TOLERANCE:
+            z = z * brentq(lambda share: least + FALL - along(share * z[None])[0], 0.0, 1.0)
+        return z
 
     def reach(way: np.ndarray) -> float:
         """Return how far the points within lie along a way, at the most."""
-        # From the centre and from where the end would be were the loss quadratic: either search may
-        # stop at a bend.
-        starts = centre, centre + axes @ way * np.sqrt(2.0 * FALL) / np.linalg.norm(way)
-        found = [
-            minimize(
-                lambda z: -way @ z,
-                np.linalg.solve(axes, np.clip(start, -STEEP, STEEP) - centre),
-                jac=lambda _: -way,
-                method="SLSQP",
-                constraints=within,
-                options={"ftol": 1e-5},
-            ).fun
-            for start in starts
-        ]
-        return -min(found)
+        # From where the end would be were the loss quadratic, then anew while that leads on, as a
+        # search may stop at a bend.
+        start = centre + axes @ way * np.sqrt(2.0 * FALL) / np.linalg.norm(way)
+        behind = np.zeros(way.size)
+        end = farthest(way, np.linalg.solve(axes, np.clip(start, -STEEP, STEEP) - centre))
+        while way @ (end - behind) > NEAR:
+            behind, end = end, max(end, farthest(way, end), key=way.dot)
+        return way @ end
 
     signs = np.array([[-1.0], [1.0]])
     ends = centre + signs * [[reach(sign * way) for way in axes] for sign in signs]

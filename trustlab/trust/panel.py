@@ -115,7 +115,7 @@ def panel_of(
     table = table.rename(columns={column: signal for signal, column in columns.items()})
     span, (worst, best) = positive("high - low", high - low), performance
     # People stay in the order of the table, their trials are put in order.
-    person, people = pd.factorize(table["person"])
+    person, people = pd.factorize(table["person"], use_na_sentinel=False)
     table = table.assign(person=person).sort_values("trial", kind="stable")
     number = table.groupby("person").cumcount().rename("number") + (not before)
     signals = table.reindex(columns=["rating", *SIGNALS]).astype(float)
