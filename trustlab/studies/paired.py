@@ -267,8 +267,8 @@ def bayes_factor(
     >>> factors = tl.bayes_factor(frame, dv="value", within="condition", subject="subject")
     >>> factors[["comparison", "bf10", "n"]].head(2).round(1)
       comparison  bf10   n
-    0    C1 − C2   1.6  36
-    1    C1 − C3  89.8  36
+    0    C1 − C2   0.5  36
+    1    C1 − C3  93.2  36
     """
     scale = between("scale", scale, 1e-6, 1e6)
     result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
