@@ -278,10 +278,11 @@ class TeleoperationLoop(Loop):
         self.operator = of_class("operator", operator, Teleoperator)
         self.task = of_class("task", TASKS[study] if task is None else task, TrackingTask)
         hooks = self._functions(trust)
-        self._asked = ", ".join([*hooks, *(f"{name} as given" for name in signals or ())])
         ends, T = self.settings.scattering, self.settings.sample_time
         duration = between("duration", duration, 10.0 * T, min(1e5, 5e6 * T))
         self.count = count = round(duration / T)
+        given = checked_signals(signals, count, ends)
+        self._asked = ", ".join([*hooks, *(f"{name} as given" for name in given)])
         start, losses, noise, *ways = spawned(seed, 5)
         delays = delays_of(self.settings, delay, count, ways)
         numbers = self._constants(hooks)
@@ -291,7 +292,7 @@ class TeleoperationLoop(Loop):
             hooks["scheme"] = optimal(numbers, whole)
         inputs = drawn(self.settings, self.task, self.operator, count + 1, (start, losses, noise))
         arrives = np.ones((2, count), bool)
-        for name, signal in checked_signals(signals, count, ends).items():
+        for name, signal in given.items():
             if name == "arrives":
                 arrives[:] = signal.T
             else:
