@@ -7,6 +7,7 @@ import random
 import signal
 import time
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -23,7 +24,7 @@ V_RATE = 1.0
 
 
 def log_of(path):
-    return pd.read_csv(path, names=["t", "v", "w"])
+    return pd.read_csv(path, names=["t", "v", "w", "age", "delay", "stamp"])
 
 
 def agree(result):
@@ -56,6 +57,36 @@ def test_the_robot_of_the_guide_is_driven_and_changes_hands(tmp_path):
     agree(result)
     assert set(result.session["mode"]) == {0.0, 1.0}
     assert result.session.duration > 40.0
+
+
+@pytest.mark.long
+def test_a_stop_is_with_the_robot_within_a_tenth_of_a_second(tmp_path):
+    stops = tmp_path / "stops.csv"
+    peer = [PEER, "robot,operator,stop", 60, tmp_path / "robot.csv", stops]
+    assert driven(tmp_path, peer, run_for_peer(tmp_path), 20).verified
+    seconds = np.loadtxt(stops)
+    assert len(seconds) >= 4
+    assert seconds.max() < 0.1
+
+
+@pytest.mark.long
+def test_no_phase_of_a_hostile_robot_leads_outside_the_bounds(tmp_path):
+    """Thirty-two faults, half a second each; oracle: every command as another vendor got it."""
+    log, commands = tmp_path / "robot.csv", tmp_path / "commands.csv"
+    result = driven(tmp_path, [PEER, "hostile", 60, log, commands], run_for_peer(tmp_path), 26)
+    assert result.verified
+    phases = pd.read_csv(log, names=["t", "v", "w", "topic", "fault"], keep_default_na=False)
+    assert phases.loc[phases["topic"] != "", ["topic", "fault"]].drop_duplicates().shape[0] == 32
+    got = pd.read_csv(commands, names=["t", "v", "w"])
+    assert len(got) > 400
+    assert np.isfinite(got[["v", "w"]]).all().all()
+    assert (got["v"].abs() <= V_MAX).all()
+    assert (got["w"].abs() <= 1.0).all()
+    change = got["v"].diff().abs().iloc[1:]
+    assert (change[got["v"].iloc[1:] != 0.0] <= V_RATE * 0.05 + 1e-9).all()
+    notes = result.session.metadata.more["notes"]
+    assert len(notes) < 700, "notes of one kind are counted"
+    assert any("in frame 'moon'" in note for note in notes)
 
 
 @pytest.mark.long
