@@ -65,8 +65,8 @@ def stream_of(
     """Return the columns of a table that rules name, in SI units, at times in seconds."""
     values = {rule.name: numbers(table, rule) for rule in rules}
     place = table.place
-    late = np.count_nonzero(np.diff(t) < 0.0)
-    if time.sort and late:
+    late = np.count_nonzero(np.diff(t) < 0.0) if time.sort else 0
+    if late:
         order = np.argsort(t, kind="stable")
         t, place = t[order], lambda row: table.place(order[row])
         values = {name: column[order] for name, column in values.items()}

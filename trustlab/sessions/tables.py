@@ -201,12 +201,8 @@ def _parsed(
             _refuse_encoding(source, layout.encoding)
             raise SessionError(_ragged(fault)) from error
 
-    def column(k: int) -> Any:
-        cells = table.column(str(k))
-        # What Arrow holds itself is read-only.
-        return cells.to_pandas() if k in texts else np.require(cells.to_numpy(), None, "W")
-
-    return pd.DataFrame({name: column(k) for name, k in places.items()}, copy=False)
+    frame = table.to_pandas()
+    return pd.DataFrame({name: frame[str(k)] for name, k in places.items()}, copy=False)
 
 
 def _ragged(fault: str) -> str:
