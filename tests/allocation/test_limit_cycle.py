@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from tests.allocation.cases import phases
+from tests.allocation.cases import phases, written_out
 from trustlab.allocation import limit_cycle, simulate_allocation, steady
 from trustlab.allocation.steady import SCREEN, endless_phase, survey
 from trustlab.reproduction import published_table
@@ -110,6 +110,19 @@ def test_a_quick_operator_s_utilization_repeats_before_performance_does():
     assert cycle.r_high == pytest.approx(run["r"].max(), abs=1e-9)
     assert cycle.r_low == pytest.approx(run["r"].min(), abs=1e-9)
     assert cycle.dwell_manual == (4, 5)
+
+
+def test_means_are_of_whole_periods():
+    """Of its 17 cycles one is long: 300 cycles, some periods and a part, have another mean."""
+    human = tl.HumanModel(0.9773112082, 0.6590122170, 0.4711750365, 0.5134963447)
+    robot = tl.RobotModel(0.9977032962, 0.2709157444, 0.3449345707, human.p_max)
+    model, pair = tl.TscModel(robot, human), (-0.0473185, 0.0)
+    motion = written_out(model, pair, 0.6, robot.p_min, 1)
+    r, p_r = np.array([row[:2] for row in itertools.islice(motion, 30_000, 31_682)]).T
+    assert r[:841] == pytest.approx(r[841:], abs=1e-9)
+    cycle = limit_cycle(model, *pair)
+    means = r[:841].mean(), p_r[:841].mean()
+    assert (cycle.mean_r, cycle.mean_p_r) == pytest.approx(means, abs=1e-7)
 
 
 def test_coexisting_motions_are_not_one():

@@ -39,10 +39,13 @@ MOTION = np.dtype(
 # Time constants of the slower process after which a phase counts as endless: e⁻⁵⁰ is left.
 ENDLESS = 50.0
 
-# Time constants that are left to settle, cycles that are recorded then, and samples to the quicker
-# time constant, to which the sample time is stretched: of one pair of thresholds, of many, and of
-# many under many models, to be screened.
+# Time constants that are left to settle, most cycles that are recorded then, and samples to the
+# quicker time constant, to which the sample time is stretched: of one pair of thresholds, of many,
+# and of many under many models, to be screened.
 ALONE, EXACT, SCREEN = (30.0, 300, math.inf), (20.0, 100, math.inf), (7.0, 4, 50.0)
+
+# How near utilization and robot performance must come to where they were for a motion to repeat.
+SAME = 1e-9
 
 # From which states motions begin: β where TSC meets TSC_l, and rest.
 BOTH = False, True
@@ -65,8 +68,8 @@ def steady_motion(c, lower, upper, rested, settle, cycles, most):
     Follow (2.8) in the manual mode from rest, or from β where TSC meets TSC_l, and return the rows
     of its motion.
 
-    After `settle` samples, as many `cycles` are recorded; rows are NaN where a mode stays for
-    `most` samples.
+    After `settle` samples, cycles are recorded until the motion repeats, at most so many; rows are
+    NaN where a mode stays for `most` samples.
     """
     r, p_r = c.beta, (lower + c.b_T * human_at(c.beta, c)) / c.a_T
     if rested:
@@ -75,6 +78,7 @@ def steady_motion(c, lower, upper, rested, settle, cycles, most):
     rows[:, LOW], rows[:, HIGH] = np.inf, -np.inf
     done, dwell, samples = 0, 0, 0
     recorded = -1  # whole cycles; −1 while the motion settles
+    first_r, first_p_r = r, p_r  # where the first of them begins
     mode = 1
     while dwell <= most:
         p_h = human_at(r, c)
@@ -87,10 +91,12 @@ def steady_motion(c, lower, upper, rested, settle, cycles, most):
             dwell = 0
             if mode == 1 and done >= settle:
                 recorded += 1
-            if recorded == cycles:
-                rows[:DWELL, MEAN] /= samples
-                rows[DWELL:, MEAN] /= cycles
-                return rows
+                if recorded == 0:
+                    first_r, first_p_r = r, p_r
+                elif recorded == cycles or max(abs(r - first_r), abs(p_r - first_p_r)) < SAME:
+                    rows[:DWELL, MEAN] /= samples
+                    rows[DWELL:, MEAN] /= recorded
+                    return rows
         if recorded >= 0:
             for row, value in enumerate((r, p_r, p_h, tsc)):
                 _seen(rows[row], value)
@@ -323,8 +329,8 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
     """
     Find the steady cycle of rule (2.8).
 
-    The system is simulated, from β and from rest, until transients have decayed, and then over 300
-    cycles.
+    The system is simulated, from β and from rest, until transients have decayed, and then until the
+    motion repeats, over at most 300 cycles.
 
     Parameters
     ----------
