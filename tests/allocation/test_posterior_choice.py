@@ -167,10 +167,11 @@ def test_objectives_of_a_model(operators):
     assert table["objective"][0] == pytest.approx(points)
 
 
-def switches_around_beta(tsc, lower, upper, size=40_000):
-    """Whether a person does so from r = .6."""
+def switches_around_beta(tsc, lower, upper):
+    """Whether a person does so from r = .6, once 100 time constants have passed."""
+    count = round(100.0 / (1.0 - max(tsc.human.a, tsc.robot.a)))
     motion = written_out(tsc, (lower, upper), 0.6, tsc.robot.p_min, 1)
-    loads, _, _, modes = zip(*itertools.islice(motion, size // 2, size), strict=True)
+    loads, _, _, modes = zip(*itertools.islice(motion, count, 2 * count), strict=True)
     return len(set(modes)) == 2 and min(loads) <= tsc.human.beta <= max(loads)
 
 
