@@ -86,6 +86,8 @@ def test_a_labs_file_by_recipe(tmp_path):
     np.testing.assert_allclose(panel.ratings, [[0.5, 4 / 6, np.nan], [1.0, 0.0, np.nan]])
     assert panel.resolution == pytest.approx(1 / 6)
     np.testing.assert_array_equal(panel.events.p_r, [[1, 0], [1, np.nan]])
+    alike = tl.read_people(frame.assign(answer=4), {"columns": columns, "low": 1, "high": 7})
+    assert alike.resolution == 0.01
     with pytest.raises(ValueError, match="outside the scale from 1 to 5; low and high"):
         tl.read_people(path, {"columns": columns, "low": 1, "high": 5})
     with pytest.raises(ValueError, match="no column 'answers'"):
