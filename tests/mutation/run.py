@@ -127,6 +127,8 @@ test-command = "{command}"
 [cosmic-ray.distributor]
 name = "local"
 """
+# The mark of arguments that are given by keyword alone is no product.
+MARK = re.compile(r"^\+.*[(\s]/,", re.M)
 DIFFERENT_LINE = re.compile(r"^([-+])(?!--|\+\+)\s*(.*)$", re.M)
 
 
@@ -207,7 +209,7 @@ def changes_of(module, copy, python, sample, seed):
         "SELECT start_pos_row, diff, test_outcome FROM work_results "
         "JOIN mutation_specs USING (job_id) WHERE worker_outcome = 'NORMAL'"
     )
-    return list(database.execute(query))
+    return [row for row in database.execute(query) if not MARK.search(row[1])]
 
 
 def is_known(diff, reasons):

@@ -128,6 +128,11 @@ def test_what_is_rounded_to_the_end_of_a_scale_is_open():
     np.testing.assert_allclose(ends, [[-np.inf, 0.45, 0.95], [0.05, 0.55, np.inf]])
 
 
+def test_ranges_are_open_or_end_at_1():
+    ranges = [each for model in MODELS.values() for each in model.parameters().values()]
+    assert {high for _, _, high in ranges} == {1.0, np.inf}
+
+
 def test_later_ratings_do_not_enter_a_simulation():
     people = panel(3, resolution=0.1)
     later = people.ratings.copy()
