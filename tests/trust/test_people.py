@@ -61,6 +61,9 @@ def test_files_are_those_published():
 def test_other_sets():
     transfer = tl.read_people("trust_transfer")
     assert (len(transfer), transfer.trials) == (96, 1)
+    raw = pd.read_csv(data_folder("people") / sets.SETS["trust_transfer"][0])
+    moved = [(raw[f"{task}2_rating"] - raw[f"{task}1_rating"]) / 6 for task in "CDE"]
+    np.testing.assert_allclose(np.diff(transfer.ratings)[:, 0], np.ravel(moved, order="F"))
     capabilities = tl.read_people("btm")
     assert np.isfinite(capabilities.ratings[:, 1:]).sum() == 852
     assert np.isfinite(capabilities.events.dt).sum(axis=0).tolist() == [852, 568, 284]
