@@ -190,3 +190,16 @@ def test_a_scripted_leader_pulls_the_robot_that_leads_to_the_goal():
     hand = ScriptedLeader({"condition": "suggested"}, np.random.default_rng(0))
     picture = {"robots": [[0, 0], [5, 5]], "goal": [0.4, -0.4], "leader": 1, "suggested": 0}
     assert hand(picture)[:2] == pytest.approx((0.4, -0.4), abs=0.3)
+
+
+def test_a_page_draws_all_goals_and_how_long_a_leader_stays():
+    config = configured("team", "by_hand", duration=12.0)
+    run, courses = task_named("team").begin(config), []
+    for command in commands_for(config, hold=20):
+        run.step(*command)
+        courses.append((run.leader, run.picture()["wait"]))
+    leaders, waits = np.array(courses).T
+    switched = 1 + np.flatnonzero(np.diff(leaders))
+    assert switched[-1] > 100
+    np.testing.assert_allclose(waits[switched + 2], config["min_dwell"], atol=0.1)
+    assert np.abs(config["goals"]).max() < config["field"]
