@@ -39,7 +39,7 @@ NOTICED_BY = {
     "sessions/test_real_logs.py": "sessions/folders",
     "sessions/test_writing.py": "sessions/bags",
     "identification/test_fit_result.py": "identification/noise identification/result",
-    "identification/test_limits.py": "identification/fit identification/tsc",
+    "identification/test_limits.py": "identification/fit identification/model identification/tsc",
     "identification/test_logged.py": "identification/fit identification/log "
     "identification/problem identification/tsc",
     "identification/test_regression.py": "identification/transfer_function",
