@@ -128,6 +128,13 @@ def test_what_is_rounded_to_the_end_of_a_scale_is_open():
     np.testing.assert_allclose(ends, [[-np.inf, 0.45, 0.95], [0.05, 0.55, np.inf]])
 
 
+def test_counts_begin_within_the_scale_and_in_its_middle_without_a_rating():
+    model = MODELS["beta"]()
+    least, most, middle = model.rating(model.start(np.array([0.0, 1.0, np.nan]))).mean
+    assert 0.0 < least < middle < most < 1.0
+    assert middle == pytest.approx(0.5)
+
+
 def test_ranges_are_open_or_end_at_1():
     ranges = [each for model in MODELS.values() for each in model.parameters().values()]
     assert {high for _, _, high in ranges} == {1.0, np.inf}
