@@ -264,6 +264,8 @@ def test_suggestions_are_followed_in_time_or_not():
     assert followed_suggestions(session, deadline=25.0)["followed"].tolist() == [True, True, False]
     with pytest.raises(tl.SessionError, match="suggested_mode"):
         followed_suggestions(tl.Session(session.data[["mode"]]))
+    with pytest.raises(tl.SessionError, match="'suggested_mode' holds shares"):
+        followed_suggestions(tl.Session(session.data.assign(suggested_mode=0.5)))
 
 
 def test_relative_performance_of_remark_7():

@@ -234,3 +234,8 @@ def test_dask_gives_the_table_of_the_serial_run(tmp_path):
     both = [frame.drop(columns=["process", "traceback"]) for frame in (serial, table)]
     pd.testing.assert_frame_equal(*both, check_exact=True)
     assert len(tl.read_campaign(tmp_path)) == 60
+
+
+def test_runs_have_the_same_names():
+    with pytest.raises(ValueError, match=r"run 0 has .*'a'.* and run 1 has .*'b'"):
+        tl.run_campaign(dict, [{"a": 1}, {"b": 1}])

@@ -9,7 +9,7 @@ from statsmodels.tsa.stattools import acf
 
 import trustlab as tl
 from tests.identification import cases
-from trustlab.identification.noise import hac_matrix, pooled_correlation
+from trustlab.identification.noise import Noise, fitted_noise, hac_matrix, pooled_correlation
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,17 @@ def test_cross_correlation_has_its_lag_the_right_way_round():
 
 def test_no_product_crosses_from_run_to_run():
     runs = [np.r_[1.0, -1.0, 1.0, -1.0], np.r_[-1.0, 1.0, -1.0, 1.0]]
-    assert pooled_correlation(runs, runs, 1)[1] == pytest.approx(-6.0 / 8.0)
+    rho = pooled_correlation(runs, runs, 5)
+    np.testing.assert_allclose(rho[[1, 4, 5]], [-6.0 / 8.0, 0.0, 0.0])
+
+
+def test_the_noise_is_where_its_likelihood_is_greatest():
+    def products(noise):
+        off = np.log((1.0 - noise.memory) / 0.05) ** 2 + (noise.share - 0.3) ** 2
+        return np.diag([np.exp(off), 1.0]), 0.0
+
+    found = fitted_noise(products, 1000.0, Noise())
+    assert (found.memory, found.share) == pytest.approx((0.95, 0.3), abs=0.01)
 
 
 def test_hac_matrix_is_newey_west():

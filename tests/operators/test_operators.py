@@ -9,7 +9,8 @@ import pytest
 import trustlab as tl
 from tests.loops import columns
 from trustlab.operators import operator
-from trustlab.operators.answers import experience, simulated_answers
+from trustlab.operators.answers import agreeing, experience, simulated_answers
+from trustlab.operators.ground_robot import ASSUMPTIONS
 from trustlab.operators.teleoperator import Teleoperator
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation import Guidance
@@ -174,6 +175,15 @@ def made(error, force, alpha, p_h, p_r):
 def test_experience_in_closed_form(signals, felt):
     expected = dict(zip(("error", "effort", "agreement"), felt, strict=True))
     assert experience(made(*signals)) == pytest.approx(expected)
+
+
+def test_assumptions_are_off_unless_asked_for(operators):
+    plain = operator("pilot", operators["pilot"])
+    assert {getattr(plain, name) for name in ASSUMPTIONS} == {0.0}
+
+
+def test_a_mode_agrees_with_a_rule_that_begins_in_it():
+    assert agreeing(np.array([1.0, 1.0, 0.0]), np.full(3, 0.5), 0.2, 0.8) == 2 / 3
 
 
 def test_answers_follow_what_was_gone_through():

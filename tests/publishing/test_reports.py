@@ -261,10 +261,21 @@ def test_lab_gets_a_png_with_its_caption_and_the_book_an_svg_without(book, monke
     assert "partial η²" in table["text/html"]
 
 
-def test_an_estimate_has_the_decimals_of_its_standard_error():
-    frame = pd.DataFrame({"value": [0.995998, 0.31], "stderr": [4.2e-5, 0.012]})
-    texts = re.findall("<data[^>]*>([^<]*)", table_html(frame))
-    assert texts == ["0.995998", "0.000042", "0.310", "0.012"]
+@pytest.mark.parametrize(
+    ("columns", "texts"),
+    [
+        (
+            {"value": [0.995998, 0.31], "stderr": [4.2e-5, 0.012]},
+            "0.995998 0.000042 0.310 0.012",
+        ),
+        ({"estimate": [1.2345], "ci_low": [1.2], "ci_high": [1.3]}, "1.23 1.20 1.30"),
+        ({"x": [100.01, 100.02]}, "100.01 100.02"),
+    ],
+    ids=["standard error", "half of an interval", "difference"],
+)
+def test_a_number_has_the_decimals_that_its_error_or_a_difference_needs(columns, texts):
+    table = table_html(pd.DataFrame(columns))
+    assert re.findall("<data[^>]*>([^<]*)", table) == texts.split()
 
 
 def test_provenance_lists_what_a_notebook_reads_and_names_no_path(tmp_path):

@@ -125,6 +125,8 @@ def test_tracking_error_leaves_out_training_and_the_first_trial():
     every = tl.sessions.tracking_error(trials, drop_first=0)
     np.testing.assert_allclose(every["traj_err"], [168.0, 252.5])
     assert tl.sessions.tracking_error(trials[1], drop_first=0)["traj_err"].tolist() == [500.0]
+    with pytest.raises(tl.SessionError, match="trial 6 of participant 1 occurs twice"):
+        tl.sessions.tracking_error([*trials, trials[1]])
 
 
 def test_signals_of_unequal_length_are_refused():
@@ -137,3 +139,5 @@ def test_signals_of_unequal_length_are_refused():
     ):
         with pytest.raises(ValueError, match="must have 3 samples, got 1"):
             call()
+    with pytest.raises(ValueError, match=r"got \(3, 2\) and \(3, 1\)"):
+        metrics.command_quality(np.ones((3, 2)), np.ones((3, 1)), 1.0)

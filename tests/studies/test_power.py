@@ -109,6 +109,8 @@ FACTORS = StudyColumns(within=["autonomy", "difficulty"])
 )
 def test_several_factors_agree_with_the_closed_form(mean, covariance, columns):
     simulation = Simulation(replicates=4000)
+    with pytest.raises(ValueError, match="effect_size, epsilon and claims are for one factor"):
+        tl.power_analysis(mean, covariance, columns=columns, epsilon=0.8)
     power = tl.power_analysis(mean, covariance, columns=columns, n=[12, 24], simulation=simulation)
     closed = power.table().dropna(subset="closed_form")
     assert set(closed["effect"]) == set(power.table()["effect"])

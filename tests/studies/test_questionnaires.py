@@ -93,6 +93,11 @@ def test_the_pair_without_a_choice_is_named():
         tlx_weights(pd.concat([choices, choices.iloc[:1]]))
 
 
+def test_answers_given_twice_are_refused(tlx):
+    with pytest.raises(ValueError, match="one row per subject"):
+        score(pd.concat([tlx, tlx]), NASA_TLX, **WHO)
+
+
 def test_other_forms_are_stretched(tlx):
     frame = tlx.assign(**dict.fromkeys(NASA_TLX.items, 2))
     scores = score(frame, replace(NASA_TLX, low=1, high=20, step=1), **WHO).scores

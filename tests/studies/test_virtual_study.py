@@ -136,7 +136,8 @@ def test_sessions_are_read_again_and_have_the_measures(kept):
     table = pd.read_csv(kept.folder / "measures.csv")
     np.testing.assert_allclose(table["p_r"], kept.measures["p_r"], rtol=1e-12)
     assert (kept.folder / "about.txt").read_text().startswith("SIMULATED.")
-    assert {"participants.csv", "orders.csv"} <= {item.name for item in kept.folder.iterdir()}
+    for name, frame in {"participants": kept.participants, "orders": kept.design.orders()}.items():
+        assert [*pd.read_csv(kept.folder / f"{name}.csv")] == [*frame]
 
 
 def test_analyses_are_those_of_repeated_measures(kept):
@@ -252,6 +253,8 @@ def test_a_participant_is_joined_once(kept):
     assert (len(joined.measures), joined.analysis("p_r").n) == (100, 20)
     with pytest.raises(ValueError, match=r"participant 10\d is in the study already"):
         joined.joined(others.query("participant > 100"))
+    with pytest.raises(ValueError, match=r"condition must be one of 'C1', .*, got 'C9'"):
+        kept.joined(others.assign(condition="C9"))
 
 
 def test_an_unknown_condition_or_assumption_is_named():

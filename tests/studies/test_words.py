@@ -75,7 +75,9 @@ def test_a_table_for_reading():
             "p": [0.0004, 0.0495],
             "p_holm": [np.nan, 0.9999],
             "mauchly_p": [0.5, 0.25],
-            "points": [1.25, 2.0],
+            "points": [0.0123, 0.02],
+            "estimate": [1.23456, 2.0],
+            "se": [0.0123, 0.2],
         }
     )
     before = frame.copy()
@@ -89,7 +91,9 @@ def test_a_table_for_reading():
         "p": ["< .001", ".050"],
         "p (Holm)": ["", "> .999"],
         "mauchly p": [".500", ".250"],
-        "points": ["1.25", "2.00"],
+        "points": ["0.012", "0.020"],
+        "estimate": ["1.235", "2.00"],  # as their standard errors
+        "standard error": ["0.012", "0.20"],
     }
     pd.testing.assert_frame_equal(frame, before)
 

@@ -8,7 +8,7 @@ import networkx as nx
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from scipy.optimize import minimize_scalar
 
 import trustlab as tl
@@ -61,6 +61,7 @@ def test_repaying_keeps_energy_at_zero_or_above(seed):
 
 @SETTINGS
 @given(st.floats(-5, 5), st.floats(0.01, 50), st.floats(-2, 3))
+@example(-1.0, 0.5, 0.0)
 def test_damping_of_a_yielding_port_takes_the_power_demanded(power, gain, demand):
     w, met = activation(power, gain, demand)
     size = 1.0 + abs(power) + gain
@@ -71,6 +72,7 @@ def test_damping_of_a_yielding_port_takes_the_power_demanded(power, gain, demand
 
     if np.isinf(w):
         assert power + gain <= 0.0
+        assert met == (demand <= 0.0)  # a port that stands takes nothing
     elif met:
         assert taken(w) >= demand - 1e-9 * size
         if w > 0.0:

@@ -78,6 +78,7 @@ def test_the_models_fit_its_sessions(operators):
         # estimates are.
         robot, human = tl.fit_robot(session, noise="white"), tl.fit_human(session, noise="white")
         assert robot.synthetic
+        np.testing.assert_array_equal(session["mode"][:16000], np.repeat([1, 0], 8000))
         assert 0.993 < robot.model.a < 0.9995
         assert robot.model.p_min == pytest.approx(0.245, abs=0.01)
         assert robot.model.p_max == pytest.approx(0.395, abs=0.015)

@@ -100,7 +100,8 @@ class Half(tl.trust.LinearTrust):
 
 def test_a_model_of_ones_own_drives_loops_and_teams():
     course = TrustCourse(tl.trust.TrustInLoop(Half(), every=0.1, start=0.2), 0.1)
-    assert [course.step(p) for p in (1.0, 0.0)] == pytest.approx([0.6, 0.3], abs=1e-14)
+    shares = [course.step(p) for p in (1.0, 0.0, 3.0, -9.0)]
+    assert shares == pytest.approx([0.6, 0.3, 1.0, 0.0], abs=1e-14)
     run = tl.simulate_teleoperation(
         "TMIG", trust=tl.trust.TrustInLoop(Half(), every=0.5), duration=2.0
     )

@@ -4,6 +4,7 @@ all ratings, a grid against Kalman's filter, and parameters that simulations wer
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,7 @@ from scipy import optimize, stats
 import trustlab as tl
 from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.interface import coordinates_of, with_parameters
-from trustlab.trust.likelihood import log_likelihood
+from trustlab.trust.likelihood import cell, log_likelihood
 
 RNG = np.random.default_rng(0)
 SUCCESS = np.array([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], dtype=float)
@@ -120,6 +121,36 @@ def test_grid_step_is_a_sum_over_bins():
             following += weight * density / density.sum()
         weights = following
     np.testing.assert_allclose(after.weights[0], weights, atol=1e-12)
+
+
+def test_what_is_rounded_to_the_end_of_a_scale_is_open():
+    ends = cell(np.array([0.0, 0.5, 1.0]), 0.1)
+    np.testing.assert_allclose(ends, [[-np.inf, 0.45, 0.95], [0.05, 0.55, np.inf]])
+
+
+def test_counts_begin_within_the_scale_and_in_its_middle_without_a_rating():
+    model = MODELS["beta"]()
+    least, most, middle = model.rating(model.start(np.array([0.0, 1.0, np.nan]))).mean
+    assert 0.0 < least < middle < most < 1.0
+    assert middle == pytest.approx(0.5)
+
+
+def test_ranges_are_open_or_end_at_1():
+    ranges = [each for model in MODELS.values() for each in model.parameters().values()]
+    assert {high for _, _, high in ranges} == {1.0, np.inf}
+
+
+def test_later_ratings_do_not_enter_a_simulation():
+    people = panel(3, resolution=0.1)
+    later = people.ratings.copy()
+    later[:, 1:] = 0.0
+    drawn, same = (
+        tl.trust.simulate_ratings(
+            MODELS["performance"](), replace(people, ratings=ratings), np.random.default_rng(0)
+        ).ratings
+        for ratings in (people.ratings, later)
+    )
+    np.testing.assert_array_equal(drawn, same)
 
 
 def matrices(name, truth, signals):

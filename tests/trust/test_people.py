@@ -61,6 +61,9 @@ def test_files_are_those_published():
 def test_other_sets():
     transfer = tl.read_people("trust_transfer")
     assert (len(transfer), transfer.trials) == (96, 1)
+    raw = pd.read_csv(data_folder("people") / sets.SETS["trust_transfer"][0])
+    moved = [(raw[f"{task}2_rating"] - raw[f"{task}1_rating"]) / 6 for task in "CDE"]
+    np.testing.assert_allclose(np.diff(transfer.ratings)[:, 0], np.ravel(moved, order="F"))
     capabilities = tl.read_people("btm")
     assert np.isfinite(capabilities.ratings[:, 1:]).sum() == 852
     assert np.isfinite(capabilities.events.dt).sum(axis=0).tolist() == [852, 568, 284]
@@ -86,6 +89,8 @@ def test_a_labs_file_by_recipe(tmp_path):
     np.testing.assert_allclose(panel.ratings, [[0.5, 4 / 6, np.nan], [1.0, 0.0, np.nan]])
     assert panel.resolution == pytest.approx(1 / 6)
     np.testing.assert_array_equal(panel.events.p_r, [[1, 0], [1, np.nan]])
+    alike = tl.read_people(frame.assign(answer=4), {"columns": columns, "low": 1, "high": 7})
+    assert alike.resolution == 0.01
     with pytest.raises(ValueError, match="outside the scale from 1 to 5; low and high"):
         tl.read_people(path, {"columns": columns, "low": 1, "high": 5})
     with pytest.raises(ValueError, match="no column 'answers'"):

@@ -120,8 +120,7 @@ class PublishedStudy:
         set_checked(self, _names, "conditions", "significant_without_p")
         if len(set(self.conditions)) != self.k or self.k < 2 or not self.mean:
             raise ValueError(
-                "two or more different conditions and a mean are needed, got "
-                f"{', '.join(self.conditions) or 'none'}"
+                f"two or more different conditions and a mean are needed, got {[*self.conditions]}"
             )
         for condition in (*self.mean, *self.sd):
             one_of("a condition of mean and sd", condition, self.conditions)

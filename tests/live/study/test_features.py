@@ -61,6 +61,8 @@ def test_groups_fill_squares_of_their_own_and_have_pages_of_their_own(make_plan,
     assert same.groups == plan.groups
     column = tl.read_live_study(plan.folder).participants.set_index("participant")["group"]
     assert column.to_dict() == plan.groups
+    with pytest.raises(ValueError, match="group of the page secret must be one of '', 'a', 'b'"):
+        make_plan(**options | {"participants": {"a": 4, "b": 4}}, name="other")
 
 
 def test_groups_are_the_factor_between_subjects(make_team_plan):

@@ -12,6 +12,7 @@ from statsmodels.stats.inter_rater import cohens_kappa
 
 import trustlab as tl
 from tests.live.cases import commands_for, configured, session_of
+from trustlab.live.hands import ScriptedLeader
 from trustlab.live.task import task_named
 from trustlab.live.tasks.team import ABILITIES, occasions, policy_agreement
 from trustlab.operators.teleoperator import REACH
@@ -183,3 +184,22 @@ def test_studies_of_another_model_of_trust_are_rehearsed_and_read(tmp_path, task
 
 class Own(tl.trust.TrustDynamics):
     """A model of one's own, which a plan cannot hold."""
+
+
+def test_a_scripted_leader_pulls_the_robot_that_leads_to_the_goal():
+    hand = ScriptedLeader({"condition": "suggested"}, np.random.default_rng(0))
+    picture = {"robots": [[0, 0], [5, 5]], "goal": [0.4, -0.4], "leader": 1, "suggested": 0}
+    assert hand(picture)[:2] == pytest.approx((0.4, -0.4), abs=0.3)
+
+
+def test_a_page_draws_all_goals_and_how_long_a_leader_stays():
+    config = configured("team", "by_hand", duration=12.0)
+    run, courses = task_named("team").begin(config), []
+    for command in commands_for(config, hold=20):
+        run.step(*command)
+        courses.append((run.leader, run.picture()["wait"]))
+    leaders, waits = np.array(courses).T
+    switched = 1 + np.flatnonzero(np.diff(leaders))
+    assert switched[-1] > 100
+    np.testing.assert_allclose(waits[switched + 2], config["min_dwell"], atol=0.1)
+    assert np.abs(config["goals"]).max() < config["field"]

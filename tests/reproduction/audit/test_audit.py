@@ -151,6 +151,7 @@ def test_statistics_by_hand(verdicts):
         ("uav.tlx/epsilon", 114.63 / 140, "reproduced"),
         ("uav.tlx/n", 20 - 2, "differs"),
         ("table_2.6/C2/sd", spread, "reproduced"),
+        ("section_2_2_2/weights", 1001 / 1000, "differs"),
     ):
         assert hand(verdicts, id, value) == verdict
 

@@ -73,14 +73,26 @@ def test_conventions_are_tried_and_explanations_only_explain():
 def test_items_that_fit():
     numbers = printed_numbers()
     rows = {row.id: row for row in sample_checks(numbers)}
-    for study in ("uav.trust", "uav.satisfaction"):
-        means = [float(x.printed) for id, x in numbers.items() if id.startswith(f"{study}/mean.")]
+    means = {id: float(number.printed) for id, number in numbers.items() if "mean" in id}
+    # Five people, who drove under C1 twice.
+    table = {f"table_2.4/C{i}/trust_mean": 10 if i == 1 else 5 for i in range(1, 6)}
+    studies = {
+        f"{study}/items": ({id: 36 for id in means if id.startswith(f"{study}/")}, 0.0005, 10)
+        for study in ("uav.trust", "uav.satisfaction")
+    }
+    for items, (people, half, fewest) in (
+        studies | {"table_2.4/trust/items": (table, 0.005, 8)}
+    ).items():
         fits = [
-            items
-            for items in range(1, 41)
-            if all(abs(round(m * 36 * items) / (36 * items) - m) <= 0.0005 for m in means)
+            k
+            for k in range(1, 41)
+            if all(
+                abs(round(means[id] * n * k) / (n * k) - means[id]) <= half
+                for id, n in people.items()
+            )
         ]
-        assert rows[f"{study}/items"].recomputed == fits[0] == 10
+        assert rows[items].recomputed == fits[0] == fewest
+    assert "none of raw, steps of 5" in rows["table_2.4/tlx/scoring"].reason
 
 
 def test_extreme_chi2_of_epsilon_by_brute_force():

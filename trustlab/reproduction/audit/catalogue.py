@@ -122,7 +122,7 @@ def _studies() -> Iterator[PrintedNumber]:
         where, title = study.where.split(" (")[0], study.title
         yield PrintedNumber(f"{name}/n", where, "n", str(study.n), exact=True)
         for statistic, text in study.table()["printed"].items():
-            quantity = f"{title}: {statistic.replace('.', ' ', 1)}"
+            quantity = f"{title}: {statistic.replace('.', ' ')}"
             degrees = statistic.startswith(("mauchly.", "anova.")) and text.isdecimal()
             yield PrintedNumber(f"{name}/{statistic}", where, quantity, text, degrees)
         for pair in study.significant_without_p:
