@@ -173,7 +173,7 @@ def test_resampling_against_loops_over_hundredths(method, steps, start, sample):
     frame["yaw"] = np.arctan2(np.sin(2.9 * frame.index), np.cos(2.9 * frame.index))
     options = {"resample": method, "sample_time": sample / 100}
     if grid.size < 2:
-        with pytest.raises(SessionError, match="does not make 2 to 20,000,000 samples"):
+        with pytest.raises(SessionError, match=r"would make 1[.\d]* samples, but 2 to 20,000,000"):
             read_frame(frame, **options)
         return
     session = read_frame(frame, **options)

@@ -111,8 +111,8 @@ def _time_grid(start: float, stop: float, sample_time: float) -> np.ndarray:
     steps = (stop - start) / sample_time
     if not 1.0 <= steps + 1e-9 < MAX_SAMPLES:
         raise SessionError(
-            f"resampling {stop - start:.6g} s to {sample_time:g} s does not make 2 to "
-            f"{MAX_SAMPLES:,} samples; check the times and their unit"
+            f"resampling {stop - start:.6g} s to {sample_time:g} s would make {steps + 1.0:.3g} "
+            f"samples, but 2 to {MAX_SAMPLES:,} are needed; check the times and their unit"
         )
     count = int(steps + 1e-9) + 1  # rounding must not cost the last sample
     return np.minimum(start + sample_time * np.arange(count), stop)
