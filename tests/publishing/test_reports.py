@@ -22,6 +22,7 @@ from IPython.core.interactiveshell import InteractiveShell
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.transforms import Bbox
 from nbformat import from_dict
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 from scipy import optimize
 
 import trustlab as tl
@@ -29,7 +30,7 @@ from notebooks import diagrams
 from tests.publishing.world import ROOT, make
 from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
 from trustlab.publishing import figures, only_parameters
-from trustlab.publishing.chapter import empty_chapter
+from trustlab.publishing.chapter import chapter, empty_chapter
 from trustlab.publishing.run import commit, provenance
 from trustlab.publishing.tables import table_html
 from trustlab.reproduction.printed import half_unit
@@ -208,7 +209,10 @@ def test_first_page_quotes_what_a_report_says_in_bold(answer, said):
     headline = runpy.run_path(str(ROOT / "docs" / "extension.py"))["headline"]
     path = NOTEBOOKS / "06_audit.ipynb"
     title = "Audit: which printed numbers follow from which"
-    assert headline(nbformat.reads(empty_chapter(path, answer), 4)) == (title, said)
+    page = empty_chapter(path, answer)
+    assert headline(nbformat.reads(page, 4)) == (title, said)
+    assert "```" not in page
+    assert "```text" in empty_chapter(path, answer, "NameError")
 
 
 def test_search_lists_the_section_of_a_table_first():
@@ -237,6 +241,14 @@ def test_captions_say_that_data_are_synthetic():
         artist.get_text() for artist in figure.texts if artist.get_gid() == "trustlab-synthetic"
     ]
     assert marks == ["Synthetic data: pilot, seed 1"]
+
+
+def test_code_that_shows_nothing_is_folded_with_the_code_after_it():
+    shown = {"b": [new_output("stream", text="1")]}
+    code = [new_code_cell(c, outputs=shown.get(c, []), metadata={"tags": []}) for c in "abc"]
+    run = new_notebook(cells=[new_markdown_cell("# T"), *code, new_markdown_cell("words")])
+    sources = [cell.source for cell in nbformat.reads(chapter(run, {}), 4).cells]
+    assert sources[:-1] == ["# T", "a\n\nb", "c", "words"]
 
 
 @pytest.mark.parametrize("book", [True, False])
