@@ -1,6 +1,6 @@
-"""Orders of conditions: period, sequence, carry-over, and effects adjusted for them."""
+"""Orders of conditions: period, sequence and carry-over."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,16 +9,18 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import of_class
-from trustlab.studies.anova import Design
-from trustlab.studies.pairs import compared, level_pairs
 from trustlab.studies.table import (
     Tested,
     complete_scores,
     label_column,
     labelled,
+    origin_of,
     read_cells,
     read_factors,
 )
+
+# Of a score, what rounding can change.
+ROUNDING = 4.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,26 +40,11 @@ class OrderEffects(Tested):
         condition_without_carry_over (condition adjusted for position only); columns effect, ss,
         df1, df2, F, p, note. NaN where the orders do not separate an effect from others; the note
         says so.
-    differences : pandas.DataFrame
-        What `pairs` returns.
     """
 
     dv: Hashable
     scores: pd.DataFrame
     tests: pd.DataFrame
-    differences: pd.DataFrame
-
-    def pairs(self) -> pd.DataFrame:
-        """
-        Return differences between conditions, adjusted for position and carry-over (as far as the
-        orders separate them).
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns a, b, mean_difference, ci_low, ci_high (95 %, unadjusted), t, df, p, p_holm.
-        """
-        return self.differences.copy()
 
     @property
     def title(self) -> str:
@@ -76,8 +63,6 @@ def order_effects(
     condition: Hashable,
     position: Hashable,
     subject: Hashable = "subject",
-    *,
-    order: Sequence | None = None,
 ) -> OrderEffects:
     """
     Test period, sequence and first-order carry-over in Latin squares and Williams designs.
@@ -91,8 +76,6 @@ def order_effects(
         A row per subject and position.
     dv, condition, position, subject : hashable
         Columns with the score, the condition, the position (1, 2 …) and the subject.
-    order : sequence, optional
-        The order of the conditions.
 
     Returns
     -------
@@ -125,47 +108,34 @@ def order_effects(
     of_class("frame", frame, pd.DataFrame, "with a row per subject and position")
     for argument, name in {"position": position, "condition": condition}.items():
         label_column(frame, argument, name)
-    factors = [position, condition]
-    table, levels, _ = read_factors(frame, dv, factors, subject, order={condition: order})
+    table, levels, _ = read_factors(frame, dv, [position, condition], subject)
     labels, places = levels[condition], levels[position]
     scores = complete_scores(read_cells(table, {position: places}, dv, subject), dv)[0]
     n, k = scores.shape
     if list(places) != list(range(1, k + 1)):
         raise ValueError(f"position: column {position!r} must hold 1 to {k}, got {list(places)}")
-    rows = table.reset_index(drop=True).sort_values([subject, position])
+    rows = table.sort_values([subject, position])
     codes = rows[condition].cat.codes.to_numpy().reshape(n, k)
-    sequence = np.unique(codes, axis=0, return_inverse=True)[1]
-    values = scores.to_numpy()
-    y = (values - values.mean()).ravel()
-    full = _within_subjects(codes, len(labels))
-    error, df = _residual(y, full)
-    if error <= y.size * (4.0 * np.finfo(float).eps * np.abs(values).max()) ** 2:
-        raise ValueError(f"dv: {y.size} scores leave no error variance beside all effects")
-    between = {"mean": np.ones((n, 1)), "sequence": np.eye(sequence.max() + 1)[sequence]}
-    direct = {name: x for name, x in full.items() if name != "carry_over"}
-    tests = [
-        _test("sequence", y.reshape(n, k).sum(axis=1) / np.sqrt(k), between),
-        *(_test(name, y, full) for name in ("position", "condition", "carry_over")),
-        _test("condition", y, direct) | {"effect": "condition_without_carry_over"},
-    ]
-    separable = y.size - df == n + k - 1 + 2 * (len(labels) - 1)
-    pairs = _differences(y, full if separable else direct, Design(n, {condition: labels}))
-    origin = scores.attrs.get("origin", "")
-    return OrderEffects(dv, scores, labelled(pd.DataFrame(tests), origin), labelled(pairs, origin))
-
-
-def _within_subjects(codes: np.ndarray, count: int) -> dict[str, np.ndarray]:
-    """Return the regressors of every effect within subjects, a row per subject and position."""
-    n, k = codes.shape
-    condition = (np.eye(count) - 1.0 / count)[codes]
+    conditions = np.eye(len(labels))[codes]
     # Before the first position there is nothing to carry over.
-    carried = np.pad(condition[:, :-1], ((0, 0), (1, 0), (0, 0)))
-    return {
-        "condition": condition.reshape(n * k, count),
-        "position": np.tile(np.eye(k) - 1.0 / k, (n, 1)),
-        "carry_over": carried.reshape(n * k, count),
+    carried = np.pad(conditions[:, :-1] - 1.0 / len(labels), ((0, 0), (1, 0), (0, 0)))
+    direct = {
+        "condition": conditions.reshape(n * k, -1),
+        "position": np.tile(np.eye(k), (n, 1)),
         "subject": np.repeat(np.eye(n), k, axis=0),
     }
+    full = direct | {"carry_over": carried.reshape(n * k, -1)}
+    y = (scores - scores.mean(axis=None)).to_numpy()
+    if _residual(y.ravel(), full)[0] <= y.size * (ROUNDING * np.abs(scores).max(axis=None)) ** 2:
+        raise ValueError(f"dv: {y.size} scores leave no error variance beside all effects")
+    sequence = np.unique(codes, axis=0, return_inverse=True)[1]
+    between = {"mean": np.ones((n, 1)), "sequence": np.eye(sequence.max() + 1)[sequence]}
+    tests = [
+        _test("sequence", y.sum(axis=1) / np.sqrt(k), between),
+        *(_test(name, y.ravel(), full) for name in ("position", "condition", "carry_over")),
+        _test("condition", y.ravel(), direct) | {"effect": "condition_without_carry_over"},
+    ]
+    return OrderEffects(dv, scores, labelled(pd.DataFrame(tests), origin_of(frame)))
 
 
 def _residual(y: np.ndarray, parts: dict[str, np.ndarray]) -> tuple[float, int]:
@@ -192,18 +162,3 @@ def _test(effect: str, y: np.ndarray, parts: dict[str, np.ndarray]) -> dict[str,
         few = f"only {df1} of {contrasts} contrasts are estimable from these orders"
         note = few if df1 < contrasts else ""
     return {"effect": effect, "ss": ss, "df1": df1, "df2": df2, "F": f, "p": p, "note": note}
-
-
-def _differences(y: np.ndarray, parts: dict[str, np.ndarray], design: Design) -> pd.DataFrame:
-    """Return the differences of conditions, whose regressors are the first."""
-    error, df = _residual(y, parts)
-    x = np.column_stack([*parts.values()])
-    pairs, weights = level_pairs(design, *design.within)
-    weights = np.pad(weights[:, 0], ((0, 0), (0, x.shape[1] - weights.shape[2])))
-    weighted = weights @ np.linalg.pinv(x, 1e-12)
-    # Estimable weights are combinations of contrasts of the regressors.
-    estimable = np.isclose(weighted @ x, weights, atol=1e-8).all(axis=1)
-    difference = np.where(estimable, weighted @ y, np.nan)
-    se = np.sqrt(error / df) * np.linalg.norm(weighted, axis=1)
-    table = compared(pairs, difference, se, df, np.nan)
-    return table[["a", "b", "mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"]]

@@ -431,9 +431,8 @@ class RecordedStudy:
         ValueError
             As for `analysis`.
         """
-        order = self.plan.content["conditions"]
         return order_effects(
-            self._for_analysis(), dv, "condition", "position", subject="participant", order=order
+            self._for_analysis(), dv, "condition", "position", subject="participant"
         )
 
     def _for_analysis(self) -> pd.DataFrame:
