@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from scipy import special
+from scipy.linalg import khatri_rao
 from scipy.optimize import brentq
 
 from trustlab.models.checks import counted, of_class
@@ -160,8 +161,8 @@ class MixedModel(Tested):
             If a factor is unknown, or both are the same.
         """
         factor = next(iter(self.design.within)) if factor is None else factor
-        pairs, weights = level_pairs(self.design, factor, at)
-        weights = weights.reshape(len(pairs), -1)
+        pairs, *parts = level_pairs(self.design, factor, at)
+        weights = khatri_rao(*parts).T
         difference, se = weights @ self.means["mean"], standard_errors(weights, self.covariance)
         df = self.tests.set_index("effect").loc[str(factor), "df2"]
         between = factor in self.design.between

@@ -168,15 +168,14 @@ class RepeatedMeasures(Tested):
             return labelled(table, self.origin)
         if factor is None and len(self.within) == 1:
             factor = next(iter(self.within))
-        names, weights = pairs.level_pairs(self.design, factor, at)
+        names, groups, cells = pairs.level_pairs(self.design, factor, at)
         regression = regress(self.scores.to_numpy()[None], self.design)
-        (difference,), (se,) = pairs.differences(regression, weights)
-        sd = np.sqrt(np.diagonal(regression.covariance(weights.sum(axis=1).T)[0]))
-        sd = np.where(factor in self.between, np.nan, sd)
+        (difference,), (se,), (sd,) = pairs.differences(regression, groups, cells)
+        sd = np.nan if factor in self.between else sd
         table = pairs.compared(names, difference, se, self.design.df_error, sd, level)
         table = table.drop(columns="se")
         if self.one_way:
-            both = 0.5 * np.abs(weights[:, 0]) @ self.scores.std()
+            both = 0.5 * self.scores.std() @ np.abs(cells)
             d_av = difference / np.where(both > 0.0, both, np.nan)
             table = table.drop(columns="level").assign(d_av=d_av)
         return labelled(table, self.origin)
