@@ -129,15 +129,10 @@ class Cumulative:
 
         steps = np.full(point.size, STEP)
         steps[: x.shape[1]] /= x.std(axis=0)
-        # People who do not vary are at the boundary, which carries no information on the rest.
-        free, fixed = np.split(point, [point.size - (point[-1] < SINGULAR)])
-        information = -approx_hess(
-            free,
-            lambda part: self.log_likelihood(np.concatenate([part, fixed]), x),
-            steps[: free.size],
-        )
-        size = point.size - 1
-        return np.linalg.inv(information)[:size, :size]
+        # The likelihood is even in the SD, so that where it is 0 it carries no information on the
+        # rest.
+        information = -approx_hess(point, self.log_likelihood, steps, args=(x,))
+        return np.linalg.inv(information)[:-1, :-1]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

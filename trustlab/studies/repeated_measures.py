@@ -274,14 +274,22 @@ def describe(scores: np.ndarray) -> pd.DataFrame:
     """
     n, k = scores.shape
     mean, sd = scores.mean(axis=0), scores.std(axis=0, ddof=1)
-    stats = {"n": n, "mean": mean, "sd": sd, "se": sd / np.sqrt(n)}
-    stats |= {"median": np.median(scores, axis=0)}
-    stats |= {"minimum": scores.min(axis=0), "maximum": scores.max(axis=0)}
     inside = scores - scores.mean(axis=1, keepdims=True)
     within = inside.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
     half = special.stdtrit(n - 1, 0.975) / np.sqrt(n)
-    for end, spread in {"": sd, "_within": within}.items():
-        stats |= {f"ci_low{end}": mean - half * spread, f"ci_high{end}": mean + half * spread}
+    stats = {
+        "n": n,
+        "mean": mean,
+        "sd": sd,
+        "se": sd / np.sqrt(n),
+        "median": np.median(scores, axis=0),
+        "minimum": scores.min(axis=0),
+        "maximum": scores.max(axis=0),
+        "ci_low": mean - half * sd,
+        "ci_high": mean + half * sd,
+        "ci_low_within": mean - half * within,
+        "ci_high_within": mean + half * within,
+    }
     return pd.DataFrame(stats)
 
 
@@ -365,9 +373,8 @@ def repeated_measures(
     scores, excluded = complete_scores(cells, dv, missing, remedy)
     design = _design(table, scores, subject, levels, groups, names_of(covariates))
     tests = effects(scores.to_numpy()[None], design).loc[0].reset_index()
-    tests = tests.assign(**_corrected(tests, design, correction), alpha=alpha)
-    origin = origin_of(frame)
-    tests = tests.assign(excluded=len(excluded), origin=origin)
+    corrected, origin = _corrected(tests, design, correction), origin_of(frame)
+    tests = tests.assign(**corrected, alpha=alpha, excluded=len(excluded), origin=origin)
     tests.insert(0, "dv", [dv] * len(tests))
     tests.insert(1, "within", effect_name(levels))
     tests.insert(3, "n", design.n)
