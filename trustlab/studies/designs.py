@@ -1,15 +1,32 @@
-"""Orders of conditions: balanced Latin squares (Williams 1949), and the balance of orders."""
+"""
+Orders of conditions: balanced Latin squares (Williams 1949), the balance of orders, and what orders
+do to scores: period, sequence and carry-over.
+"""
 
 import numbers
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy import special
 
 from trustlab.models.checks import flag, of_class, spawned, warn, whole_number
 from trustlab.models.display import Result
-from trustlab.studies.table import label_column, labels_of
+from trustlab.studies.table import (
+    Tested,
+    complete_scores,
+    label_column,
+    labelled,
+    labels_of,
+    origin_of,
+    read_cells,
+    read_factors,
+)
+
+# Of a score, what rounding can change.
+ROUNDING = 4.0 * np.finfo(float).eps
 
 
 def williams_square(n: int) -> np.ndarray:
@@ -279,3 +296,147 @@ def latin_square_design(
     people = pd.Index(participants, name="participant")
     positions = pd.RangeIndex(1, k + 1, name="position")
     return LatinSquareDesign(pd.DataFrame(square[order[:n]], people, positions), seed)
+
+
+# What orders do to scores.
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OrderEffects(Tested):
+    """
+    The analysis of a design in which conditions come in several orders.
+
+    Parameters
+    ----------
+    dv : hashable
+        Column analysed.
+    scores : pandas.DataFrame
+        What was analysed: a row per subject, a column per position.
+    tests : pandas.DataFrame
+        What `table` returns: the tests, each effect adjusted for all others within subjects;
+        sequences are compared between subjects. Rows sequence, position, condition, carry_over and
+        condition_without_carry_over (condition adjusted for position only); columns effect, ss,
+        df1, df2, F, p, note. NaN where the orders do not separate an effect from others; the note
+        says so.
+    """
+
+    dv: Hashable
+    scores: pd.DataFrame
+    tests: pd.DataFrame
+
+    @property
+    def title(self) -> str:
+        """What was analysed."""
+        return f"Order effects on {self.dv}"
+
+    @property
+    def message(self) -> str:
+        """Which data."""
+        return f"{self.origin} {len(self.scores)} subjects".strip()
+
+
+def order_effects(
+    frame: pd.DataFrame,
+    dv: Hashable,
+    condition: Hashable,
+    position: Hashable,
+    subject: Hashable = "subject",
+) -> OrderEffects:
+    """
+    Test period, sequence and first-order carry-over in Latin squares and Williams designs.
+
+    Within subjects, score = subject + position + condition + carry-over of the condition before
+    (none at the first position), by least squares; the sequence is tested on the subjects' means.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame
+        A row per subject and position.
+    dv, condition, position, subject : hashable
+        Columns with the score, the condition, the position (1, 2 …) and the subject.
+
+    Returns
+    -------
+    OrderEffects
+
+    Raises
+    ------
+    ValueError
+        If a column is unknown, positions of a subject are not 1, 2 …, a score is missing, or
+        nothing is left to estimate the error from.
+
+    References
+    ----------
+    B. Jones, M. G. Kenward, Design and Analysis of Cross-Over Trials, 3rd ed., 2014, Chapter 5.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> study = tl.virtual_study(n=10, conditions=["C1", "C2", "C3", "C4", "C5"], laps=2, seed=0)
+    >>> columns = {"condition": "condition", "position": "position", "subject": "participant"}
+    >>> effects = tl.order_effects(study.measures, dv="p_r", **columns)
+    >>> effects.table()[["effect", "df1", "df2"]]
+                             effect  df1  df2
+    0                      sequence    9    0
+    1                      position    4   28
+    2                     condition    4   28
+    3                    carry_over    4   28
+    4  condition_without_carry_over    4   32
+    """
+    of_class("frame", frame, pd.DataFrame, "with a row per subject and position")
+    for argument, name in {"position": position, "condition": condition}.items():
+        label_column(frame, argument, name)
+    table, levels, _ = read_factors(frame, dv, [position, condition], subject)
+    labels, places = levels[condition], levels[position]
+    scores = complete_scores(read_cells(table, {position: places}, dv, subject), dv)[0]
+    n, k = scores.shape
+    if list(places) != list(range(1, k + 1)):
+        raise ValueError(f"position: column {position!r} must hold 1 to {k}, got {list(places)}")
+    rows = table.sort_values([subject, position])
+    codes = rows[condition].cat.codes.to_numpy().reshape(n, k)
+    conditions = np.eye(len(labels))[codes]
+    # Before the first position there is nothing to carry over.
+    carried = np.pad(conditions[:, :-1] - 1.0 / len(labels), ((0, 0), (1, 0), (0, 0)))
+    direct = {
+        "condition": conditions.reshape(n * k, -1),
+        "position": np.tile(np.eye(k), (n, 1)),
+        "subject": np.repeat(np.eye(n), k, axis=0),
+    }
+    full = direct | {"carry_over": carried.reshape(n * k, -1)}
+    y = (scores - scores.mean(axis=None)).to_numpy()
+    if _residual(y.ravel(), full)[0] <= y.size * (ROUNDING * np.abs(scores).max(axis=None)) ** 2:
+        raise ValueError(f"dv: {y.size} scores leave no error variance beside all effects")
+    sequence = np.unique(codes, axis=0, return_inverse=True)[1]
+    between = {"mean": np.ones((n, 1)), "sequence": np.eye(sequence.max() + 1)[sequence]}
+    tests = [
+        _test("sequence", y.sum(axis=1) / np.sqrt(k), between),
+        *(_test(name, y.ravel(), full) for name in ("position", "condition", "carry_over")),
+        _test("condition", y.ravel(), direct) | {"effect": "condition_without_carry_over"},
+    ]
+    return OrderEffects(dv, scores, labelled(pd.DataFrame(tests), origin_of(frame)))
+
+
+def _residual(y: np.ndarray, parts: dict[str, np.ndarray]) -> tuple[float, int]:
+    """Return the residual sum of squares of a regression and its degrees of freedom."""
+    x = np.column_stack([*parts.values()])
+    beta, _, rank, _ = np.linalg.lstsq(x, y)
+    return float(((y - x @ beta) ** 2).sum()), y.size - int(rank)
+
+
+def _test(effect: str, y: np.ndarray, parts: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Return a row of the table: the regression on all parts against the one without the effect."""
+    error, df2 = _residual(y, parts)
+    total, df = _residual(y, {name: x for name, x in parts.items() if name != effect})
+    df1, contrasts = df - df2, parts[effect].shape[1] - 1
+    ss = f = p = np.nan
+    if df1 == 0:
+        note = "not estimable: these orders do not separate it from the other effects"
+    elif df2 == 0:
+        note = "not testable: every sequence has one subject"
+    else:
+        ss = total - error
+        f = ss / df1 / (error / df2)
+        p = special.fdtrc(df1, df2, f)
+        few = f"only {df1} of {contrasts} contrasts are estimable from these orders"
+        note = few if df1 < contrasts else ""
+    return {"effect": effect, "ss": ss, "df1": df1, "df2": df2, "F": f, "p": p, "note": note}

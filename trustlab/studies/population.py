@@ -18,7 +18,7 @@ from trustlab.models.checks import (
     warn,
     whole_number,
 )
-from trustlab.studies.anova import Design
+from trustlab.studies.anova import Design, regress
 from trustlab.studies.repeated_measures import repeated_measures
 from trustlab.studies.table import cells_of, labels_of, names_of
 
@@ -182,11 +182,9 @@ class Conditions:
             What makes them differ: independent numbers of variance 1.
         """
         groups = np.repeat(np.arange(self.groups), noise.shape[-2] // self.groups)
-        codes = np.unravel_index(groups, [len(levels) for levels in self.between.values()] or [1])
-        numbers = dict(zip(self.between, codes, strict=False))
         scores = noise @ np.linalg.cholesky(self.covariance).T
         scores += np.atleast_2d(self.mean)[groups]
-        return scores, Design(len(groups), self.within, self.between, numbers)
+        return scores, Design(len(groups), self.within, self.between, groups)
 
     def with_effect(self, eta2_partial: float) -> "Conditions":
         """
@@ -297,7 +295,9 @@ def _pilot(data: pd.DataFrame, columns: StudyColumns) -> tuple[pd.Series, pd.Dat
         )
     names = "condition" if pilot.one_way else factors_of(columns)
     means = pilot.descriptives().set_index(names)["mean"]
-    return means, pd.DataFrame(pilot.residual_covariance(), cells, cells), pilot.origin
+    errors = regress(pilot.scores.to_numpy()[None], pilot.design).residual[0]
+    covariance = errors.T @ errors / pilot.design.df_error
+    return means, pd.DataFrame(covariance, cells, cells), pilot.origin
 
 
 def factors_of(columns: StudyColumns) -> list[Hashable]:

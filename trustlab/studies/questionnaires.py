@@ -296,9 +296,14 @@ def score(
             "missing (nan), or leave the subject out; if the form had another scale, score by "
             "dataclasses.replace(questionnaire, low=…, high=…, step=…)"
         )
-    coded = _coded(questionnaire, table)
-    scores = {score_name: items.mean(axis=1) for score_name, items in coded.items()}
-    name, whole = questionnaire.name, next(iter(coded.values()))
+    name, ends, kind = questionnaire.name, low + high, "mean"
+    if questionnaire.task_load:
+        table, ends, kind = 100.0 * (table - low) / (high - low), 100.0, "raw"
+    whole, turned = table.copy(), [*questionnaire.reversed]
+    whole[turned] = ends - whole[turned]
+    coded = {f"{name}_{kind}": whole}
+    coded |= {part: table[[*items]] for part, items in questionnaire.subscales.items()}
+    scores = {part: items.mean(axis=1) for part, items in coded.items()}
     if not questionnaire.task_load:
         scores[f"{name}_sum"] = whole.sum(axis=1)
     if weights is not None:
@@ -329,18 +334,6 @@ def _numbers(argument: str, frame: pd.DataFrame, items: Iterable[Hashable]) -> p
     """Return the columns of items as floats, NaN where they have nothing."""
     columns = {item: numbers_of(column_of(frame, argument, item), argument) for item in items}
     return pd.DataFrame(columns)
-
-
-def _coded(questionnaire: Questionnaire, answers: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """Return the items of every score that is a mean, as they count in it; all of them first."""
-    low, high, kind = questionnaire.low, questionnaire.high, "mean"
-    if questionnaire.task_load:
-        answers = 100.0 * (answers - low) / (high - low)
-        low, high, kind = 0.0, 100.0, "raw"
-    whole, turned = answers.copy(), [*questionnaire.reversed]
-    whole[turned] = low + high - whole[turned]
-    parts = {part: answers[list(items)] for part, items in questionnaire.subscales.items()}
-    return {f"{questionnaire.name}_{kind}": whole, **parts}
 
 
 def _weights(weights: pd.DataFrame, answers: pd.DataFrame, subject: str) -> pd.DataFrame:
