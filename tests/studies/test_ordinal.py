@@ -35,7 +35,7 @@ def test_agrees_with_clmm(wine):
         theirs = np.transpose([expected[name] for name in names])
         table = wine.coefficients_table()[rows]
         np.testing.assert_allclose(table[["estimate", "se"]], theirs, atol=1e-5)
-    variance = wine.random_effects()["variance"].item()
+    variance = wine.variances.item()
     assert variance == pytest.approx(expected["covariance"][0][0], abs=1e-5)
     assert wine.log_likelihood == pytest.approx(expected["log_likelihood"], abs=1e-8)
     assert wine.table()["chi2"].to_numpy() == pytest.approx([*R["tests"].values()], abs=1e-5)
@@ -107,7 +107,7 @@ def test_two_categories_agree_with_lme4(name):
     found = found.loc[expected.index, ["estimate", "se"]].astype(float)
     np.testing.assert_allclose(found["estimate"], expected["estimate"], rtol=0.0, atol=5e-6)
     np.testing.assert_allclose(found["se"], expected["se"], rtol=1e-5)
-    variance = model.random_effects()["variance"].item()
+    variance = model.variances.item()
     assert variance == pytest.approx(own["variance"], rel=1e-4)
     # With several nodes lme4 gives the likelihood relative to the saturated model's.
     omitted = -41.978353768934 if "nine points" in name else 0.0
@@ -157,7 +157,7 @@ def test_answers_drawn_from_the_model_are_as_it_says(wine):
     assert inside.all()
     rng, draws = np.random.default_rng(0), 200_000
     effects, cuts = np.split(wine.coefficients_table()["estimate"].to_numpy(), [3])
-    people = wine.random_effects()["sd"].item() * rng.standard_normal(draws)
+    people = np.sqrt(wine.variances.item()) * rng.standard_normal(draws)
     rating = np.searchsorted(cuts, effects.sum() + people + rng.logistic(size=draws))
     np.testing.assert_allclose(
         np.bincount(rating) / draws, cells.tail(5)["probability"], atol=0.004

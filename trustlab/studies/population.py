@@ -20,7 +20,7 @@ from trustlab.models.checks import (
 )
 from trustlab.studies.anova import Design, regress
 from trustlab.studies.repeated_measures import repeated_measures
-from trustlab.studies.table import cells_of, labels_of, names_of
+from trustlab.studies.table import Levels, cells_of, labels_of, names_of
 
 
 @dataclass(frozen=True)
@@ -256,7 +256,7 @@ def population_of(
         mean = pd.Series(values, known if same else range(1, len(values) + 1))
     means = pd.Series(mean, dtype=float)
     # Of one factor a label may be a tuple, which an index takes for labels of several.
-    levels = {"condition": (*means.index,)}
+    levels: Levels = {"condition": (*means.index,)}
     if several:
         named = [*means.index.names]
         if len(named) != len(factors) or ({*named} == {*factors} and named != factors):

@@ -91,16 +91,27 @@ class StudyReport(Result):
             title if self.origin in title else f"{title} [{self.origin}]": printed(table)
             for title, table in self.tables.items()
         }
-        document = (_html if kind == ".html" else _latex)(self.message, tables)
-        if kind == ".html" and isinstance(self.result, RepeatedMeasures):
-            import matplotlib.pyplot as plt
+        if kind == ".html":
+            parts = [f"<p>{html.escape(self.message)}</p>"] if self.message else []
+            for number, (title, table) in enumerate(tables.items(), start=1):
+                caption = f"<p><b>Table {number}</b><br><i>{html.escape(title)}</i></p>"
+                parts += [caption, table.to_html(index=False, border=0)]
+            if isinstance(self.result, RepeatedMeasures):
+                import matplotlib.pyplot as plt
 
-            drawing, figure = io.StringIO(), self.result.plot().figure
-            figure.savefig(drawing, format="svg")
-            plt.close(figure)
-            # Without the declarations of a file.
-            document += "".join(drawing.getvalue().partition("<svg")[1:])
-        path.write_text(document, encoding="utf-8")
+                drawing, figure = io.StringIO(), self.result.plot().figure
+                figure.savefig(drawing, format="svg")
+                plt.close(figure)
+                # Without the declarations of a file.
+                parts.append("".join(drawing.getvalue().partition("<svg")[1:]))
+        else:
+            with extra("reports"):
+                import jinja2  # noqa: F401  what pandas writes LaTeX with
+            parts = [_in_latex(self.message)]
+            for title, table in tables.items():
+                cells = table.map(_in_latex).rename(columns=_in_latex)
+                parts += ["", cells.to_latex(index=False, caption=_in_latex(title))]
+        path.write_text("\n".join(parts), encoding="utf-8")
         return path
 
 
@@ -196,33 +207,27 @@ def _side_by_side(
         title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
         rows = []
         for name, fit in results.items():
-            row = {"of": f"{name}{'' if fit.success else ' (the fit failed)'}"} | _estimates(fit)
+            row = {"of": f"{name}{'' if fit.success else ' (the fit failed)'}"}
+            estimates = fit.table()
+            names = estimates.index
+            if "status" in estimates:
+                names = names[estimates["status"] != "derived"]
+            # Time constants, in the place of what they are derived from.
+            times = {name: f"{name.removesuffix('a')}time_constant" for name in names}
+            names = [time if time in estimates.index else name for name, time in times.items()]
+            texts = printed(estimates.loc[names, ["value", "stderr"]]).replace("", "–")
+            cells = texts["value"] + " ± " + texts["standard error"]
+            row |= dict(zip(map(in_words, names), cells, strict=True))
             if thresholds:
                 choice = thresholds[name]
-                row["TSC_l"], row["TSC_u"] = (
-                    apa_number(choice.lower, 3),
-                    apa_number(choice.upper, 3),
-                )
+                row["TSC_l"] = apa_number(choice.lower, 3)
+                row["TSC_u"] = apa_number(choice.upper, 3)
                 row["offered"] = "yes" if choice.offered else "no"
                 if not np.isnan(choice.probability):  # a fit has none
                     row["probability"] = f"{choice.probability:.2f}"
             rows.append(row)
         table = pd.DataFrame(rows).fillna("")
     return StudyReport(whole, text, {title: table}, ", ".join(sorted(origins)))
-
-
-def _estimates(fit: Any) -> dict[str, str]:
-    """
-    Return estimates with their errors; derived ones are time constants, in the place of what they
-    are derived from.
-    """
-    rows = fit.table()
-    names = rows.index[rows["status"] != "derived"] if "status" in rows else rows.index
-    times = {name: f"{name.removesuffix('a')}time_constant" for name in names}
-    names = [time if time in rows.index else name for name, time in times.items()]
-    texts = printed(rows.loc[names, ["value", "stderr"]]).replace("", "–")
-    cells = texts["value"] + " ± " + texts["standard error"]
-    return dict(zip(map(in_words, names), cells, strict=True))
 
 
 def _sentences(result: Any) -> str:
@@ -237,24 +242,6 @@ def _sentences(result: Any) -> str:
 def _origin(result: Any, table: pd.DataFrame) -> str:
     origin = getattr(result, "origin", "") or table.attrs.get("origin", "")
     return origin or ("synthetic data" if getattr(result, "synthetic", False) else "")
-
-
-def _html(text: str, tables: dict[str, pd.DataFrame]) -> str:
-    parts = [f"<p>{html.escape(text)}</p>"] if text else []
-    for number, (title, table) in enumerate(tables.items(), start=1):
-        caption = f"<p><b>Table {number}</b><br><i>{html.escape(title)}</i></p>"
-        parts += [caption, table.to_html(index=False, border=0)]
-    return "\n".join(parts)
-
-
-def _latex(text: str, tables: dict[str, pd.DataFrame]) -> str:
-    with extra("reports"):
-        import jinja2  # noqa: F401  what pandas writes LaTeX with
-    parts = [_in_latex(text)]
-    for title, table in tables.items():
-        cells = table.map(_in_latex).rename(columns=_in_latex)
-        parts.append(cells.to_latex(index=False, caption=_in_latex(title)))
-    return "\n\n".join(parts)
 
 
 def _in_latex(text: str) -> str:

@@ -209,8 +209,13 @@ def read_factors(
     factors = within + between
     if not factors or frame.empty:
         raise ValueError("within and between name no factor, or frame has no rows")
-    columns = {"dv": [dv], "within": within, "between": between, "covariates": covariates}
-    columns["subject"] = [subject]
+    columns = {
+        "dv": [dv],
+        "within": within,
+        "between": between,
+        "covariates": covariates,
+        "subject": [subject],
+    }
     arguments = {}
     for argument, names in columns.items():
         for name in names:
