@@ -392,7 +392,7 @@ def order_effects(
     n, k = scores.shape
     if list(places) != list(range(1, k + 1)):
         raise ValueError(f"position: column {position!r} must hold 1 to {k}, got {list(places)}")
-    rows = table.sort_values([subject, position])
+    rows = table.reset_index(drop=True).sort_values([subject, position])
     codes = rows[condition].cat.codes.to_numpy().reshape(n, k)
     conditions = np.eye(len(labels))[codes]
     # Before the first position there is nothing to carry over.
