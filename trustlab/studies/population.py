@@ -1,5 +1,6 @@
 """Populations of conditions: means and covariances of scores, from numbers or a pilot study."""
 
+import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -279,7 +280,7 @@ def population_of(
                 f"{known}"
             )
         covariance = covariance.loc[labels, labels]
-    groups = means.to_numpy().reshape(-1, len(labels))
+    groups = means.to_numpy().reshape(math.prod(map(len, between.values())), -1)
     return Conditions(labels, groups if between else groups[0], covariance, origin, levels, between)
 
 
