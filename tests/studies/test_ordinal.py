@@ -5,7 +5,6 @@ manual prints it; the likelihood's integral by another quadrature, logistic regr
 rejections counted by clmm on studies that R drew (reference/ordinal_power.R).
 """
 
-import time
 
 import numpy as np
 import pandas as pd
@@ -35,7 +34,7 @@ def test_agrees_with_clmm(wine):
         theirs = np.transpose([expected[name] for name in names])
         table = wine.coefficients_table()[rows]
         np.testing.assert_allclose(table[["estimate", "se"]], theirs, atol=1e-5)
-    variance = wine.variances.item()
+    variance = wine.random_effects()["variance"].item()
     assert variance == pytest.approx(expected["covariance"][0][0], abs=1e-5)
     assert wine.log_likelihood == pytest.approx(expected["log_likelihood"], abs=1e-8)
     assert wine.table()["chi2"].to_numpy() == pytest.approx([*R["tests"].values()], abs=1e-5)
@@ -107,7 +106,7 @@ def test_two_categories_agree_with_lme4(name):
     found = found.loc[expected.index, ["estimate", "se"]].astype(float)
     np.testing.assert_allclose(found["estimate"], expected["estimate"], rtol=0.0, atol=5e-6)
     np.testing.assert_allclose(found["se"], expected["se"], rtol=1e-5)
-    variance = model.variances.item()
+    variance = model.random_effects()["variance"].item()
     assert variance == pytest.approx(own["variance"], rel=1e-4)
     # With several nodes lme4 gives the likelihood relative to the saturated model's.
     omitted = -41.978353768934 if "nine points" in name else 0.0
@@ -157,7 +156,7 @@ def test_answers_drawn_from_the_model_are_as_it_says(wine):
     assert inside.all()
     rng, draws = np.random.default_rng(0), 200_000
     effects, cuts = np.split(wine.coefficients_table()["estimate"].to_numpy(), [3])
-    people = np.sqrt(wine.variances.item()) * rng.standard_normal(draws)
+    people = wine.random_effects()["sd"].item() * rng.standard_normal(draws)
     rating = np.searchsorted(cuts, effects.sum() + people + rng.logistic(size=draws))
     np.testing.assert_allclose(
         np.bincount(rating) / draws, cells.tail(5)["probability"], atol=0.004
@@ -177,13 +176,11 @@ def ratings(n=20):
     return frame.assign(trust=1 + np.digitize(latent, [-1.5, -0.3, 0.6, 1.4]))
 
 
-def test_groups_sentences_and_speed():
+def test_groups_and_sentences():
     frame, call = ratings(), {"dv": "trust", "subject": "person"}
-    started = time.process_time()
     model = tl.ordinal_model(
         frame, within="mode", between="group", order={"mode": [*"dcba"]}, **call
     )
-    assert time.process_time() - started < 3.0
     assert model.table()["term"].tolist() == ["group", "mode", "group:mode"]
     assert model.probabilities()["mode"].unique().tolist() == [*"dcba"]
     sentence = "A cumulative-link mixed model of trust with random intercepts (20 people, 240 obs"

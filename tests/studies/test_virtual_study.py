@@ -207,6 +207,22 @@ def test_a_participant_who_fails_is_listed_and_left_out(monkeypatch):
     assert "left out: 1 participant." in study.message
 
 
+@pytest.mark.filterwarnings("ignore:nobody")
+def test_orders_may_be_drawn_already():
+    bed = UavTracking(duration=4.0)
+    design = tl.latin_square_design(["MI", "M"], 4, seed=5)
+    study = tl.virtual_study(design=design, testbed=bed, seed=2)
+    assert study.design.orders().equals(design.orders())
+    drawn = tl.virtual_study(n=4, conditions=["M", "MI"], testbed=bed, seed=2)
+    assert not drawn.design.orders().equals(design.orders())
+    pd.testing.assert_frame_equal(study.participants, drawn.participants)
+    with pytest.raises(ValueError, match="n and conditions have no effect beside a design"):
+        tl.virtual_study(4, design=design, testbed=bed)
+    named = tl.latin_square_design(["M", "MI"], ["A", "B"])
+    with pytest.raises(ValueError, match="the number of participants, without names"):
+        tl.virtual_study(design=named, testbed=bed)
+
+
 def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
     def state():
         files = [path for path in tmp_path.rglob("*") if path.is_file()]

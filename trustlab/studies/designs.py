@@ -14,6 +14,8 @@ from scipy import special
 
 from trustlab.models.checks import flag, of_class, spawned, warn, whole_number
 from trustlab.models.display import Result
+from trustlab.studies.anova import Design
+from trustlab.studies.pairs import compared, level_pairs
 from trustlab.studies.table import (
     Tested,
     complete_scores,
@@ -318,11 +320,26 @@ class OrderEffects(Tested):
         condition_without_carry_over (condition adjusted for position only); columns effect, ss,
         df1, df2, F, p, note. NaN where the orders do not separate an effect from others; the note
         says so.
+    differences : pandas.DataFrame
+        What `pairs` returns.
     """
 
     dv: Hashable
     scores: pd.DataFrame
     tests: pd.DataFrame
+    differences: pd.DataFrame
+
+    def pairs(self) -> pd.DataFrame:
+        """
+        Return differences between conditions, adjusted for position and carry-over (as far as the
+        orders separate them).
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns a, b, mean_difference, ci_low, ci_high (95 %, unadjusted), t, df, p, p_holm.
+        """
+        return self.differences.copy()
 
     @property
     def title(self) -> str:
@@ -341,6 +358,8 @@ def order_effects(
     condition: Hashable,
     position: Hashable,
     subject: Hashable = "subject",
+    *,
+    order: Sequence | None = None,
 ) -> OrderEffects:
     """
     Test period, sequence and first-order carry-over in Latin squares and Williams designs.
@@ -354,6 +373,8 @@ def order_effects(
         A row per subject and position.
     dv, condition, position, subject : hashable
         Columns with the score, the condition, the position (1, 2 …) and the subject.
+    order : sequence, optional
+        The order of the conditions.
 
     Returns
     -------
@@ -386,7 +407,8 @@ def order_effects(
     of_class("frame", frame, pd.DataFrame, "with a row per subject and position")
     for argument, name in {"position": position, "condition": condition}.items():
         label_column(frame, argument, name)
-    table, levels, _ = read_factors(frame, dv, [position, condition], subject)
+    factors = [position, condition]
+    table, levels, _ = read_factors(frame, dv, factors, subject, order={condition: order})
     labels, places = levels[condition], levels[position]
     scores = complete_scores(read_cells(table, {position: places}, dv, subject), dv)[0]
     n, k = scores.shape
@@ -404,7 +426,8 @@ def order_effects(
     }
     full = direct | {"carry_over": carried.reshape(n * k, -1)}
     y = (scores - scores.mean(axis=None)).to_numpy()
-    if _residual(y.ravel(), full)[0] <= y.size * (ROUNDING * np.abs(scores).max(axis=None)) ** 2:
+    error, df = _residual(y.ravel(), full)
+    if error <= y.size * (ROUNDING * np.abs(scores).max(axis=None)) ** 2:
         raise ValueError(f"dv: {y.size} scores leave no error variance beside all effects")
     sequence = np.unique(codes, axis=0, return_inverse=True)[1]
     between = {"mean": np.ones((n, 1)), "sequence": np.eye(sequence.max() + 1)[sequence]}
@@ -413,7 +436,10 @@ def order_effects(
         *(_test(name, y.ravel(), full) for name in ("position", "condition", "carry_over")),
         _test("condition", y.ravel(), direct) | {"effect": "condition_without_carry_over"},
     ]
-    return OrderEffects(dv, scores, labelled(pd.DataFrame(tests), origin_of(frame)))
+    separable = y.size - df == n + k - 1 + 2 * (len(labels) - 1)
+    parts, design = full if separable else direct, Design(n, {condition: labels})
+    pairs, origin = _differences(y.ravel(), parts, design), origin_of(frame)
+    return OrderEffects(dv, scores, labelled(pd.DataFrame(tests), origin), labelled(pairs, origin))
 
 
 def _residual(y: np.ndarray, parts: dict[str, np.ndarray]) -> tuple[float, int]:
@@ -440,3 +466,18 @@ def _test(effect: str, y: np.ndarray, parts: dict[str, np.ndarray]) -> dict[str,
         few = f"only {df1} of {contrasts} contrasts are estimable from these orders"
         note = few if df1 < contrasts else ""
     return {"effect": effect, "ss": ss, "df1": df1, "df2": df2, "F": f, "p": p, "note": note}
+
+
+def _differences(y: np.ndarray, parts: dict[str, np.ndarray], design: Design) -> pd.DataFrame:
+    """Return the differences of conditions, whose regressors are the first."""
+    error, df = _residual(y, parts)
+    x = np.column_stack([*parts.values()])
+    pairs, _, cells = level_pairs(design, *design.within)
+    weights = np.pad(cells.T, ((0, 0), (0, x.shape[1] - len(cells))))
+    weighted = weights @ np.linalg.pinv(x, 1e-12)
+    # Estimable weights are combinations of contrasts of the regressors.
+    estimable = np.isclose(weighted @ x, weights, atol=1e-8).all(axis=1)
+    difference = np.where(estimable, weighted @ y, np.nan)
+    se = np.sqrt(error / df) * np.linalg.norm(weighted, axis=1)
+    table = compared(pairs, difference, se, df, np.nan)
+    return table[["a", "b", "mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"]]

@@ -157,7 +157,7 @@ class OrdinalModel(FormulaModel):
 
     See Also
     --------
-    FormulaModel : Its table, coefficients_table, variances and sentence.
+    FormulaModel : Its table, coefficients_table, random_effects and sentence.
     """
 
     dv: Hashable

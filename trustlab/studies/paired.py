@@ -49,6 +49,11 @@ class PairedTTest(Tested):
         return apa_pair(self)
 
 
+COLUMNS = ["a", "b", "n", "mean_difference", "sd_difference", "ci_low", "ci_high", "confidence"]
+COLUMNS += ["t", "df", "p", "d_z", "d_z_low", "d_z_high", "d_av", "correlation", "shapiro_w"]
+COLUMNS += ["shapiro_p"]
+
+
 def paired_t_test(
     frame: pd.DataFrame,
     dv: Hashable,
@@ -116,8 +121,7 @@ def paired_t_test(
         shapiro_w=shapiro["W"],
         shapiro_p=shapiro["p"],
     )
-    test = test.drop(columns=["p_bonferroni", "p_holm"])
-    return PairedTTest(labelled(test, result.origin), result)
+    return PairedTTest(labelled(test[COLUMNS], result.origin), result)
 
 
 def equivalence(
@@ -194,16 +198,20 @@ def equivalence(
     t_low, t_high = (mean + bound) / error, (mean - bound) / error
     p_low, p_high = special.stdtr(df, -t_low), special.stdtr(df, t_high)
     p = np.maximum(p_low, p_high)
-    table = pairs[["a", "b", "mean_difference", "df", "ci_low", "ci_high"]].assign(
+    table = pairs[["a", "b"]].assign(
         n=result.n,
+        mean_difference=mean,
         low=-bound,
         high=bound,
         t_low=t_low,
         p_low=p_low,
         t_high=t_high,
         p_high=p_high,
+        df=df,
         p=p,
         p_holm=holm(p.to_numpy()),
+        ci_low=pairs["ci_low"],
+        ci_high=pairs["ci_high"],
         equivalent=p < alpha,
     )
     return labelled(table, result.origin, excluded=result.excluded)

@@ -19,7 +19,7 @@ from trustlab.models.checks import (
     warn,
     whole_number,
 )
-from trustlab.studies.anova import Design, regress
+from trustlab.studies.anova import Design
 from trustlab.studies.repeated_measures import repeated_measures
 from trustlab.studies.table import Levels, cells_of, labels_of, names_of
 
@@ -296,9 +296,7 @@ def _pilot(data: pd.DataFrame, columns: StudyColumns) -> tuple[pd.Series, pd.Dat
         )
     names = "condition" if pilot.one_way else factors_of(columns)
     means = pilot.descriptives().set_index(names)["mean"]
-    errors = regress(pilot.scores.to_numpy()[None], pilot.design).residual[0]
-    covariance = errors.T @ errors / pilot.design.df_error
-    return means, pd.DataFrame(covariance, cells, cells), pilot.origin
+    return means, pd.DataFrame(pilot.residual_covariance(), cells, cells), pilot.origin
 
 
 def factors_of(columns: StudyColumns) -> list[Hashable]:

@@ -202,6 +202,11 @@ class RepeatedMeasures(Tested):
             table = table.drop(columns="level").assign(d_av=d_av)
         return labelled(table, self.origin)
 
+    def residual_covariance(self) -> np.ndarray:
+        """Return the covariance of the cells, given the groups."""
+        errors = regress(self.scores.to_numpy()[None], self.design).residual[0]
+        return errors.T @ errors / self.design.df_error
+
     def normality(self) -> pd.DataFrame:
         """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
         self._refuse_several_factors("normality()")

@@ -431,8 +431,9 @@ class RecordedStudy:
         ValueError
             As for `analysis`.
         """
+        order = self.plan.content["conditions"]
         return order_effects(
-            self._for_analysis(), dv, "condition", "position", subject="participant"
+            self._for_analysis(), dv, "condition", "position", subject="participant", order=order
         )
 
     def _for_analysis(self) -> pd.DataFrame:
