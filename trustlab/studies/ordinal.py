@@ -40,7 +40,6 @@ FAR = 15.0
 # SD below which people do not vary.
 SINGULAR = 1e-3
 STEP = 1e-3  # of differences
-MOST_STEPS = 100
 gauss_hermite = cache(np.polynomial.hermite_e.hermegauss)
 
 
@@ -82,18 +81,20 @@ class Cumulative:
         Return where each person's integrand, which is log-concave, is greatest, and how sharply it
         is bent there.
         """
-        mode, bend = np.zeros(self.sums.shape[0]), max(abs(sd), 1e-300)
-        for _ in range(MOST_STEPS):
+        high = abs(sd) * self.sums.sum(axis=1)
+        low, mode = -high, np.zeros(high.size)
+        while True:
             level = special.expit(bounds - sd * mode[self.people])
             slope = sd * (self.sums @ (level.sum(axis=0) - 1.0)) - mode
             information = 1.0 + sd**2 * (self.sums @ (level * (1.0 - level)).sum(axis=0))
-            step = slope / information
-            if (np.abs(step) <= 1e-12 * (1.0 + np.abs(mode))).all():
-                break
-            # The third derivative is at most σ times the second: steps of Newton's that are damped
-            # like this reach the top from everywhere (Bach, 2010), and undamped ones need not.
-            mode += np.sign(step) * np.log1p(bend * np.abs(step)) / bend
-        return mode, information
+            newton = mode + slope / information
+            low, high = np.where(slope > 0.0, mode, low), np.where(slope > 0.0, high, mode)
+            going = np.minimum(np.abs(newton - mode), high - low) > 1e-12 * (1.0 + np.abs(mode))
+            if not going.any():
+                return mode, information
+            # Newton's steps can go round in circles, which end where the bracket is halved.
+            inside = (low < newton) & (newton < high)
+            mode = np.where(going, np.where(inside, newton, 0.5 * (low + high)), mode)
 
     def maximum(self, x: np.ndarray) -> np.ndarray:
         """Return the point of the greatest likelihood."""
@@ -129,10 +130,15 @@ class Cumulative:
 
         steps = np.full(point.size, STEP)
         steps[: x.shape[1]] /= x.std(axis=0)
-        # The likelihood is even in the SD, so that where it is 0 it carries no information on the
-        # rest.
-        information = -approx_hess(point, self.log_likelihood, steps, args=(x,))
-        return np.linalg.inv(information)[:-1, :-1]
+        # People who do not vary are at the boundary, which carries no information on the rest.
+        free, fixed = np.split(point, [point.size - (point[-1] < SINGULAR)])
+        information = -approx_hess(
+            free,
+            lambda part: self.log_likelihood(np.concatenate([part, fixed]), x),
+            steps[: free.size],
+        )
+        size = point.size - 1
+        return np.linalg.inv(information)[:size, :size]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
