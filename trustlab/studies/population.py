@@ -258,6 +258,7 @@ def population_of(
     means = pd.Series(mean, dtype=float)
     # Of one factor a label may be a tuple, which an index takes for labels of several.
     levels: Levels = {"condition": (*means.index,)}
+    between: Levels = {}
     if several:
         named = [*means.index.names]
         if len(named) != len(factors) or ({*named} == {*factors} and named != factors):
@@ -269,7 +270,7 @@ def population_of(
         means = means.reindex(pd.MultiIndex.from_product(levels.values()))
         for cell in means.index[means.isna()]:
             raise ValueError(f"mean: no number for cell {cell!r} of {factors}")
-    between = {name: levels.pop(name) for name in names_of(columns.between)}
+        between = {name: levels.pop(name) for name in names_of(columns.between)}
     labels = cells_of(levels)
     if known:
         if unknown := [name for name in labels if name not in known]:
