@@ -5,10 +5,8 @@ from .anova import (
 from .designs import (
     DesignBalance as DesignBalance,
     LatinSquareDesign as LatinSquareDesign,
-    OrderEffects as OrderEffects,
     design_balance as design_balance,
     latin_square_design as latin_square_design,
-    order_effects as order_effects,
     participants_needed as participants_needed,
 )
 from .mixed import (
@@ -17,6 +15,7 @@ from .mixed import (
     formula_model as formula_model,
     mixed_model as mixed_model,
 )
+from .order_effects import OrderEffects as OrderEffects, order_effects as order_effects
 from .ordinal import OrdinalModel as OrdinalModel, ordinal_model as ordinal_model
 from .paired import (
     PairedTTest as PairedTTest,

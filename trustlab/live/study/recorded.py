@@ -27,7 +27,7 @@ from trustlab.models.extras import extra
 from trustlab.models.files import write_atomically
 from trustlab.sessions.session import Session
 from trustlab.sessions.vocabulary import VOCABULARY
-from trustlab.studies.designs import OrderEffects, order_effects
+from trustlab.studies.order_effects import OrderEffects, order_effects
 from trustlab.studies.questionnaires import (
     NASA_TLX,
     TRUST_CHECKLIST,
