@@ -68,8 +68,8 @@ def analyses(shape: tuple[int, ...], limit: float, least: float | None) -> Itera
     yield beside(work, batch, peer, loop, least=least, turns=3, scale=scale)
     if len(shape) == 1:
         design = Design(36, {"A": range(shape[0])})
-        weights = level_pairs(design, "A")[1]
-        both = lambda: (batch(), differences(regress(scores, design), weights))  # noqa: E731
+        _, *weights = level_pairs(design, "A")
+        both = lambda: (batch(), differences(regress(scores, design), *weights))  # noqa: E731
         peer = "pingouin rm_anova and pairwise_tests, a loop, its time scaled"
         yield beside(f"{work}, and all pairs", both, peer, pairs, least=least, turns=3, scale=scale)
 

@@ -45,8 +45,8 @@ def test_a_pair_with_one_difference_has_no_error():
     array = draw(2, 8, 3)
     array[1, :, 1] = array[1, :, 0] + 0.1
     design = Design(8, {"mode": range(3)})
-    weights = level_pairs(design, "mode")[1]
-    difference, se = differences(regress(array, design), weights)
+    _, *weights = level_pairs(design, "mode")
+    difference, se, _ = differences(regress(array, design), *weights)
     assert np.isnan(se).tolist() == [[False] * 3, [True, False, False]]
     for (a, b), mean, error in zip(combinations(range(3), 2), difference.T, se.T, strict=True):
         own = array[:, :, a] - array[:, :, b]

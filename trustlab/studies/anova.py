@@ -65,8 +65,8 @@ class Design:
         Subjects.
     within, between : mapping of Hashable to sequence
         Factors and their levels; the last factor within subjects varies fastest among the cells.
-    groups : mapping of Hashable to numpy.ndarray, shape (n,)
-        The level number of every subject, for each factor between subjects.
+    group : int or numpy.ndarray, shape (n,)
+        The number of every subject's group, the last factor between subjects varying fastest.
     covariates : mapping of Hashable to numpy.ndarray, shape (n,)
         Numbers of every subject, with mean 0.
     """
@@ -74,7 +74,7 @@ class Design:
     n: int
     within: Mapping[Any, Sequence]
     between: Mapping[Any, Sequence] = field(default_factory=dict)
-    groups: Mapping[Any, np.ndarray] = field(default_factory=dict)
+    group: Any = 0
     covariates: Mapping[Any, np.ndarray] = field(default_factory=dict)
 
     @property
@@ -82,18 +82,11 @@ class Design:
         """How many groups the factors between subjects make."""
         return math.prod(map(len, self.between.values()))
 
-    @property
-    def group(self) -> np.ndarray:
-        """The number of every subject's group, the last factor varying fastest."""
-        group = np.zeros(self.n, dtype=int)
-        for name, levels in self.between.items():
-            group = len(levels) * group + self.groups[name]
-        return group
-
     @cached_property
     def matrix(self) -> np.ndarray:
         """The regressors, shape (n, columns): a mark of each group's subjects, then covariates."""
-        return np.column_stack([np.eye(self.combinations)[self.group], *self.covariates.values()])
+        groups = np.eye(self.combinations)[np.broadcast_to(self.group, self.n)]
+        return np.column_stack([groups, *self.covariates.values()])
 
     @property
     def df_error(self) -> int:
@@ -136,18 +129,6 @@ class Regression(NamedTuple):
     coefficients: np.ndarray
     residual: np.ndarray
     rounding: np.ndarray
-
-    def sum_of_squares(self, columns: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """Return that of each study for the hypothesis that these contrasts are 0."""
-        # SS = n |L⁻¹ C' B M|² with L L' = C' (X'X/n)⁻¹ C
-        root = np.linalg.cholesky(columns.T @ self.design.inverse @ columns)
-        whitened = np.linalg.solve(root, columns.T @ self.coefficients @ cells)
-        return self.design.n * (whitened**2).sum(axis=(1, 2))
-
-    def covariance(self, cells: np.ndarray) -> np.ndarray:
-        """Return the residual covariance of contrasts of cells, shape (studies, d, d)."""
-        errors = self.residual @ cells
-        return np.swapaxes(errors, 1, 2) @ errors / self.design.df_error
 
 
 def regress(scores: np.ndarray, design: Design) -> Regression:
@@ -229,8 +210,12 @@ def effects(scores: np.ndarray, design: Design) -> pd.DataFrame:
     subjects = (residual.sum(axis=2) ** 2).sum(axis=1) / residual.shape[2]
     tests = []
     for names, (columns, cells) in design.hypotheses.items():
-        d, ss = cells.shape[1], regression.sum_of_squares(columns, cells)
-        covariance = regression.covariance(cells)
+        d, contrasted = cells.shape[1], residual @ cells
+        covariance = np.swapaxes(contrasted, 1, 2) @ contrasted / design.df_error
+        # SS = n |L⁻¹ C' B M|² with L L' = C' (X'X/n)⁻¹ C
+        root = np.linalg.cholesky(columns.T @ design.inverse @ columns)
+        whitened = np.linalg.solve(root, columns.T @ regression.coefficients @ cells)
+        ss = design.n * (whitened**2).sum(axis=(1, 2))
         error = np.trace(covariance, axis1=1, axis2=2)
         for study in np.flatnonzero((error <= d * floor) | ~np.isfinite(error)):
             where = "dv" if len(scores) == 1 else f"array: study {study}"

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from scipy import special
+from scipy.linalg import khatri_rao
 from scipy.optimize import brentq
 
 from trustlab.models.checks import counted, of_class
@@ -160,8 +161,8 @@ class MixedModel(Tested):
             If a factor is unknown, or both are the same.
         """
         factor = next(iter(self.design.within)) if factor is None else factor
-        pairs, weights = level_pairs(self.design, factor, at)
-        weights = weights.reshape(len(pairs), -1)
+        pairs, *parts = level_pairs(self.design, factor, at)
+        weights = khatri_rao(*parts).T
         difference, se = weights @ self.means["mean"], standard_errors(weights, self.covariance)
         df = self.tests.set_index("effect").loc[str(factor), "df2"]
         between = factor in self.design.between
@@ -247,13 +248,23 @@ def mixed_model(
         effect = tested.T @ fit.beta
         chi2 = float(effect @ np.linalg.solve(tested.T @ covariance @ tested, effect))
         df1, df2 = effect.size, between_df if {*names} <= {*groups} else within_df
-        f, eta2 = chi2 / df1, chi2 / (chi2 + df2)
-        p, p_chi2 = special.fdtrc(df1, df2, f), special.chdtrc(df1, chi2)
+        f = chi2 / df1
         low, high, *_ = partial_eta_interval(f, df1, df2)
-        rows.append((effect_name(names), f, df1, df2, p, chi2, p_chi2, eta2, low, high))
-    columns = ["effect", "F", "df1", "df2", "p", "chi2", "p_chi2", "eta2_partial"]
-    columns += ["eta2_partial_low", "eta2_partial_high"]
-    tests = pd.DataFrame(rows, columns=columns).assign(
+        rows.append(
+            {
+                "effect": effect_name(names),
+                "F": f,
+                "df1": df1,
+                "df2": df2,
+                "p": special.fdtrc(df1, df2, f),
+                "chi2": chi2,
+                "p_chi2": special.chdtrc(df1, chi2),
+                "eta2_partial": chi2 / (chi2 + df2),
+                "eta2_partial_low": low,
+                "eta2_partial_high": high,
+            }
+        )
+    tests = pd.DataFrame(rows).assign(
         subject_variance=fit.ratio * fit.residual,
         residual_variance=fit.residual,
         icc=fit.ratio / (1.0 + fit.ratio),

@@ -16,9 +16,13 @@ from trustlab.studies.table import (
     complete_scores,
     label_column,
     labelled,
+    origin_of,
     read_cells,
     read_factors,
 )
+
+# Of a score, what rounding can change.
+ROUNDING = 4.0 * np.finfo(float).eps
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -134,38 +138,30 @@ def order_effects(
         raise ValueError(f"position: column {position!r} must hold 1 to {k}, got {list(places)}")
     rows = table.reset_index(drop=True).sort_values([subject, position])
     codes = rows[condition].cat.codes.to_numpy().reshape(n, k)
-    sequence = np.unique(codes, axis=0, return_inverse=True)[1]
-    values = scores.to_numpy()
-    y = (values - values.mean()).ravel()
-    full = _within_subjects(codes, len(labels))
-    error, df = _residual(y, full)
-    if error <= y.size * (4.0 * np.finfo(float).eps * np.abs(values).max()) ** 2:
-        raise ValueError(f"dv: {y.size} scores leave no error variance beside all effects")
-    between = {"mean": np.ones((n, 1)), "sequence": np.eye(sequence.max() + 1)[sequence]}
-    direct = {name: x for name, x in full.items() if name != "carry_over"}
-    tests = [
-        _test("sequence", y.reshape(n, k).sum(axis=1) / np.sqrt(k), between),
-        *(_test(name, y, full) for name in ("position", "condition", "carry_over")),
-        _test("condition", y, direct) | {"effect": "condition_without_carry_over"},
-    ]
-    separable = y.size - df == n + k - 1 + 2 * (len(labels) - 1)
-    pairs = _differences(y, full if separable else direct, Design(n, {condition: labels}))
-    origin = scores.attrs.get("origin", "")
-    return OrderEffects(dv, scores, labelled(pd.DataFrame(tests), origin), labelled(pairs, origin))
-
-
-def _within_subjects(codes: np.ndarray, count: int) -> dict[str, np.ndarray]:
-    """Return the regressors of every effect within subjects, a row per subject and position."""
-    n, k = codes.shape
-    condition = (np.eye(count) - 1.0 / count)[codes]
+    conditions = np.eye(len(labels))[codes]
     # Before the first position there is nothing to carry over.
-    carried = np.pad(condition[:, :-1], ((0, 0), (1, 0), (0, 0)))
-    return {
-        "condition": condition.reshape(n * k, count),
-        "position": np.tile(np.eye(k) - 1.0 / k, (n, 1)),
-        "carry_over": carried.reshape(n * k, count),
+    carried = np.pad(conditions[:, :-1] - 1.0 / len(labels), ((0, 0), (1, 0), (0, 0)))
+    direct = {
+        "condition": conditions.reshape(n * k, -1),
+        "position": np.tile(np.eye(k), (n, 1)),
         "subject": np.repeat(np.eye(n), k, axis=0),
     }
+    full = direct | {"carry_over": carried.reshape(n * k, -1)}
+    y = (scores - scores.mean(axis=None)).to_numpy()
+    error, df = _residual(y.ravel(), full)
+    if error <= y.size * (ROUNDING * np.abs(scores).max(axis=None)) ** 2:
+        raise ValueError(f"dv: {y.size} scores leave no error variance beside all effects")
+    sequence = np.unique(codes, axis=0, return_inverse=True)[1]
+    between = {"mean": np.ones((n, 1)), "sequence": np.eye(sequence.max() + 1)[sequence]}
+    tests = [
+        _test("sequence", y.sum(axis=1) / np.sqrt(k), between),
+        *(_test(name, y.ravel(), full) for name in ("position", "condition", "carry_over")),
+        _test("condition", y.ravel(), direct) | {"effect": "condition_without_carry_over"},
+    ]
+    separable = y.size - df == n + k - 1 + 2 * (len(labels) - 1)
+    parts, design = full if separable else direct, Design(n, {condition: labels})
+    pairs, origin = _differences(y.ravel(), parts, design), origin_of(frame)
+    return OrderEffects(dv, scores, labelled(pd.DataFrame(tests), origin), labelled(pairs, origin))
 
 
 def _residual(y: np.ndarray, parts: dict[str, np.ndarray]) -> tuple[float, int]:
@@ -198,8 +194,8 @@ def _differences(y: np.ndarray, parts: dict[str, np.ndarray], design: Design) ->
     """Return the differences of conditions, whose regressors are the first."""
     error, df = _residual(y, parts)
     x = np.column_stack([*parts.values()])
-    pairs, weights = level_pairs(design, *design.within)
-    weights = np.pad(weights[:, 0], ((0, 0), (0, x.shape[1] - weights.shape[2])))
+    pairs, _, cells = level_pairs(design, *design.within)
+    weights = np.pad(cells.T, ((0, 0), (0, x.shape[1] - len(cells))))
     weighted = weights @ np.linalg.pinv(x, 1e-12)
     # Estimable weights are combinations of contrasts of the regressors.
     estimable = np.isclose(weighted @ x, weights, atol=1e-8).all(axis=1)

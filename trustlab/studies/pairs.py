@@ -1,12 +1,14 @@
 """Comparisons after an analysis of variance: pairs of levels, ranks, normality."""
 
 from collections.abc import Callable, Hashable
+from functools import reduce
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy import special, stats
+from scipy.linalg import khatri_rao
 
 from trustlab.studies.anova import Design, Regression
 
@@ -69,12 +71,12 @@ def d_z_interval(t: np.ndarray, df: float, scale: Any, level: float = 0.95) -> l
 
 def level_pairs(
     design: Design, factor: Hashable, at: Hashable = None
-) -> tuple[pd.DataFrame, np.ndarray]:
+) -> tuple[pd.DataFrame, np.ndarray, np.ndarray]:
     """
     Return all pairs of a factor's levels, over all cells or within each level of `at`: level, a, b.
 
-    With them come the weights of the coefficients of all cells in the difference of the levels'
-    means, unweighted over other factors, shape (pairs, groups, cells).
+    With them come the weights of groups, shape (groups, pairs), and those of cells within subjects,
+    shape (cells, pairs), in the difference of the levels' means, unweighted over other factors.
     """
     factors = {**design.between, **design.within}
     for name in (factor,) if at is None else (factor, at):
@@ -82,32 +84,35 @@ def level_pairs(
             raise ValueError(f"factor: {name!r} is not a factor of this design: {[*factors]}")
     if factor == at:
         raise ValueError(f"factor and at are both {factor!r}; name two factors")
-    sizes = [*map(len, factors.values())]
-    # The number of every cell's level of each factor, and marks of the cells of each level.
-    numbers = np.indices(sizes).reshape(len(sizes), -1)
-    marks = {name: np.eye(max(k) + 1)[:, k] for name, k in zip(factors, numbers, strict=True)}
-    means = (1.0 if at is None else marks[at][:, None]) * marks[factor][None]
-    means /= means.sum(axis=2, keepdims=True)
-    a, b = np.triu_indices(means.shape[1], 1)
     levels = [np.nan] if at is None else factors[at]
     pairs = [(level, *pair) for level in levels for pair in combinations(factors[factor], 2)]
-    weights = (means[:, a] - means[:, b]).reshape(len(pairs), design.combinations, -1)
-    return pd.DataFrame(pairs, columns=["level", "a", "b"], dtype=object), weights
+    weights = {name: np.full((len(k), len(pairs)), 1.0 / len(k)) for name, k in factors.items()}
+    a, b = np.triu_indices(len(factors[factor]), 1)
+    unit = np.eye(len(factors[factor]))
+    weights[factor] = np.tile(unit[:, a] - unit[:, b], len(levels))
+    if at is not None:
+        weights[at] = np.repeat(np.eye(len(levels)), a.size, axis=1)
+    groups, cells = (
+        reduce(khatri_rao, [weights[name] for name in names], np.ones((1, len(pairs))))
+        for names in (design.between, design.within)
+    )
+    return pd.DataFrame(pairs, columns=["level", "a", "b"], dtype=object), groups, cells
 
 
-def differences(regression: Regression, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def differences(
+    regression: Regression, groups: np.ndarray, cells: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return weighted sums of the coefficients of all cells in every study, and their standard errors,
-    both of shape (studies, weights); NaN where an error is what rounding of the scores can cause.
+    Return the differences that weights of groups and of cells make in every study, their standard
+    errors, and the standard deviation of a subject's difference, all of shape (studies, pairs); NaN
+    where it is what rounding of the scores can cause.
     """
-    design, residual = regression.design, regression.residual
-    groups = slice(design.combinations)
-    root = np.linalg.cholesky(design.inverse[groups, groups] / design.n)
-    errors = residual @ np.hstack([*(np.swapaxes(weights, 1, 2) @ root)])
-    squares = (errors**2).sum(axis=1).reshape(len(residual), len(weights), -1).sum(axis=2)
-    se = np.sqrt(squares / design.df_error)
-    se = np.where(se * np.sqrt(design.n) > regression.rounding[:, None], se, np.nan)
-    return np.tensordot(regression.coefficients[:, groups], weights, ((1, 2), (1, 2))), se
+    design, count = regression.design, len(groups)
+    difference = np.einsum("gp,sgc,cp->sp", groups, regression.coefficients[:, :count], cells)
+    sd = np.sqrt(((regression.residual @ cells) ** 2).sum(axis=1) / design.df_error)
+    sd = np.where(sd > regression.rounding[:, None], sd, np.nan)
+    se = sd * standard_errors(groups.T, design.inverse[:count, :count] / design.n)
+    return difference, se, sd
 
 
 def compared(

@@ -1,8 +1,8 @@
 """Populations of conditions: means and covariances of scores, from numbers or a pilot study."""
 
+import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from trustlab.models.checks import (
 )
 from trustlab.studies.anova import Design
 from trustlab.studies.repeated_measures import repeated_measures
-from trustlab.studies.table import labels_of, names_of
+from trustlab.studies.table import Levels, cells_of, labels_of, names_of
 
 
 @dataclass(frozen=True)
@@ -183,11 +183,9 @@ class Conditions:
             What makes them differ: independent numbers of variance 1.
         """
         groups = np.repeat(np.arange(self.groups), noise.shape[-2] // self.groups)
-        codes = np.unravel_index(groups, [len(levels) for levels in self.between.values()] or [1])
-        numbers = dict(zip(self.between, codes, strict=False))
         scores = noise @ np.linalg.cholesky(self.covariance).T
         scores += np.atleast_2d(self.mean)[groups]
-        return scores, Design(len(groups), self.within, self.between, numbers)
+        return scores, Design(len(groups), self.within, self.between, groups)
 
     def with_effect(self, eta2_partial: float) -> "Conditions":
         """
@@ -258,36 +256,33 @@ def population_of(
         same = len(known) == len(values)
         mean = pd.Series(values, known if same else range(1, len(values) + 1))
     means = pd.Series(mean, dtype=float)
-    named = [*means.index.names]
-    if several and (len(named) != len(factors) or ({*named} == {*factors} and named != factors)):
-        raise ValueError(
-            f"mean must be indexed by {', '.join(map(str, factors))}, in this order, got {named}"
-        )
-    if not several:
-        labels = [*means.index]
-        if known:
-            if unknown := [name for name in labels if name not in known]:
-                raise ValueError(f"mean names {unknown}, but the covariance is that of {known}")
-            if {*covariance.columns} != {*known}:
-                raise ValueError(
-                    f"covariance has the columns {[*covariance.columns]}; name them as its rows: "
-                    f"{known}"
-                )
-            covariance = covariance.loc[labels, labels]
-        return Conditions(labels, means.to_numpy(), covariance, origin)
-    levels = {name: tuple(means.index.unique(i)) for i, name in enumerate(factors)}
-    means = means.reindex(pd.MultiIndex.from_product(levels.values()))
-    for cell in means.index[means.isna()]:
-        raise ValueError(f"mean: no number for cell {cell!r} of {factors}")
-    between = {name: levels.pop(name) for name in names_of(columns.between)}
-    labels = [*product(*levels.values())]
-    cells = labels if len(levels) > 1 else next(iter(levels.values()))
-    if {*cells} <= {*known} and known == [*covariance.columns]:
-        places = [known.index(cell) for cell in cells]
-        covariance = covariance.iloc[places, places]
-    groups = means.to_numpy().reshape(-1, len(labels))
-    mean = groups if between else groups[0]
-    return Conditions(labels, mean, covariance, origin, levels, between)
+    # Of one factor a label may be a tuple, which an index takes for labels of several.
+    levels: Levels = {"condition": (*means.index,)}
+    between: Levels = {}
+    if several:
+        named = [*means.index.names]
+        if len(named) != len(factors) or ({*named} == {*factors} and named != factors):
+            raise ValueError(
+                f"mean must be indexed by {', '.join(map(str, factors))}, in this order, got "
+                f"{named}"
+            )
+        levels = {name: (*means.index.unique(i),) for i, name in enumerate(factors)}
+        means = means.reindex(pd.MultiIndex.from_product(levels.values()))
+        for cell in means.index[means.isna()]:
+            raise ValueError(f"mean: no number for cell {cell!r} of {factors}")
+        between = {name: levels.pop(name) for name in names_of(columns.between)}
+    labels = cells_of(levels)
+    if known:
+        if unknown := [name for name in labels if name not in known]:
+            raise ValueError(f"mean names {unknown}, but the covariance is that of {known}")
+        if {*covariance.columns} != {*known}:
+            raise ValueError(
+                f"covariance has the columns {[*covariance.columns]}; name them as its rows: "
+                f"{known}"
+            )
+        covariance = covariance.loc[labels, labels]
+    groups = means.to_numpy().reshape(math.prod(map(len, between.values())), -1)
+    return Conditions(labels, groups if between else groups[0], covariance, origin, levels, between)
 
 
 def _pilot(data: pd.DataFrame, columns: StudyColumns) -> tuple[pd.Series, pd.DataFrame, str]:

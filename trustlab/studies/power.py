@@ -154,10 +154,10 @@ def simulated(
         counts.update(dict(zip(names, hits, strict=True)))
         if claims is None:
             continue
-        weights = level_pairs(design, *design.within)[1]
-        difference, se = differences(regress(scores, design), weights)
+        _, *weights = level_pairs(design, *design.within)
+        difference, se, _ = differences(regress(scores, design), *weights)
         p = 2.0 * special.stdtr(n - 1, -np.abs(difference / se))
-        right = difference * (weights[:, 0] @ population.mean) > 0.0
+        right = difference * (population.mean @ weights[1]) > 0.0
         right &= tests[[TESTS[USUAL_TEST]]].to_numpy() < simulation.alpha
         for test, adjusted in ADJUSTMENTS.items():
             found = adjusted(p) < simulation.alpha

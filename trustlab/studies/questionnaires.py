@@ -296,15 +296,30 @@ def score(
             "missing (nan), or leave the subject out; if the form had another scale, score by "
             "dataclasses.replace(questionnaire, low=…, high=…, step=…)"
         )
-    coded = _coded(questionnaire, table)
-    scores = {score_name: items.mean(axis=1) for score_name, items in coded.items()}
-    name, whole = questionnaire.name, next(iter(coded.values()))
+    name, ends, kind = questionnaire.name, low + high, "mean"
+    if questionnaire.task_load:
+        table, ends, kind = 100.0 * (table - low) / (high - low), 100.0, "raw"
+    whole, turned = table.copy(), [*questionnaire.reversed]
+    whole[turned] = ends - whole[turned]
+    coded = {f"{name}_{kind}": whole}
+    coded |= {part: table[[*items]] for part, items in questionnaire.subscales.items()}
+    scores = {part: items.mean(axis=1) for part, items in coded.items()}
     if not questionnaire.task_load:
         scores[f"{name}_sum"] = whole.sum(axis=1)
     if weights is not None:
         if not questionnaire.task_load:
             raise ValueError(f"weights: the items of {name!r} are not weighted")
-        w = _weights(weights, whole, subject)
+        w = _read("weights", weights, questionnaire.items, subject, None)
+        w.index, people = (frame.index.get_level_values(0) for frame in (w, whole))
+        w = w.reindex(people).set_axis(whole.index)
+        # Landau (1953): of six items, the j chosen least meet each other j(j − 1)/2 times.
+        wins, least = np.sort(w).cumsum(axis=1), np.cumsum(range(6))
+        possible = (wins >= least).all(axis=1) & (wins[:, -1] == 15.0)
+        for row in w.index[~(possible & w.isin(range(6)).all(axis=1))]:
+            raise ValueError(
+                f"weights: {w.loc[row].tolist()} of {row} are not those of fifteen choices between "
+                "pairs: six whole numbers from 0 to 5 with the sum 15 (nan where there are none)"
+            )
         scores[f"{name}_weighted"] = (w * whole).sum(axis=1) / w.sum(axis=1)
     result = labelled(pd.DataFrame(scores).reset_index(), origin_of(answers))
     return ScaleScores(questionnaire, result, coded)
@@ -329,34 +344,6 @@ def _numbers(argument: str, frame: pd.DataFrame, items: Iterable[Hashable]) -> p
     """Return the columns of items as floats, NaN where they have nothing."""
     columns = {item: numbers_of(column_of(frame, argument, item), argument) for item in items}
     return pd.DataFrame(columns)
-
-
-def _coded(questionnaire: Questionnaire, answers: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """Return the items of every score that is a mean, as they count in it; all of them first."""
-    low, high, kind = questionnaire.low, questionnaire.high, "mean"
-    if questionnaire.task_load:
-        answers = 100.0 * (answers - low) / (high - low)
-        low, high, kind = 0.0, 100.0, "raw"
-    whole, turned = answers.copy(), [*questionnaire.reversed]
-    whole[turned] = low + high - whole[turned]
-    parts = {part: answers[list(items)] for part, items in questionnaire.subscales.items()}
-    return {f"{questionnaire.name}_{kind}": whole, **parts}
-
-
-def _weights(weights: pd.DataFrame, answers: pd.DataFrame, subject: str) -> pd.DataFrame:
-    """Return a weight per item for every row of the answers."""
-    w = _read("weights", weights, answers.columns, subject, None)
-    w.index, people = (table.index.get_level_values(0) for table in (w, answers))
-    w = w.reindex(people).set_axis(answers.index)
-    # Landau (1953): of six items, the j chosen least meet each other j(j − 1)/2 times.
-    wins, least = np.sort(w).cumsum(axis=1), np.cumsum(range(6))
-    possible = w.isin(range(6)).all(axis=1) & (wins >= least).all(axis=1) & (wins[:, -1] == 15.0)
-    for row in w.index[~possible]:
-        raise ValueError(
-            f"weights: {w.loc[row].tolist()} of {row} are not those of fifteen choices between "
-            "pairs: six whole numbers from 0 to 5 with the sum 15 (nan where there are none)"
-        )
-    return w
 
 
 def tlx_weights(

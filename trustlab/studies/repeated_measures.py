@@ -22,7 +22,6 @@ from trustlab.studies.anova import (
 )
 from trustlab.studies.table import (
     Columns,
-    Levels,
     Tested,
     complete_scores,
     labelled,
@@ -112,12 +111,35 @@ class RepeatedMeasures(Tested):
             two 95 % intervals of the mean: ci_low and ci_high between subjects, ci_low_within and
             ci_high_within after Cousineau and Morey.
         """
-        scores, group = self.scores.to_numpy(), self.design.group
-        parts = [describe(scores[group == number]) for number in range(self.design.combinations)]
-        stats = pd.concat(parts, ignore_index=True)
+        whole, parts = self.scores.to_numpy(), []
+        for number in range(self.design.combinations):
+            scores = whole[self.design.group == number]
+            n, k = scores.shape
+            mean, sd = scores.mean(axis=0), scores.std(axis=0, ddof=1)
+            # Removing the subjects' means (Cousineau, 2005) leaves the spread that a comparison
+            # within subjects sees; the factor (Morey, 2008) compensates for the variance that this
+            # removes.
+            inside = scores - scores.mean(axis=1, keepdims=True)
+            within = inside.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
+            half = special.stdtrit(n - 1, 0.975) / np.sqrt(n)
+            stats = {
+                "n": n,
+                "mean": mean,
+                "sd": sd,
+                "se": sd / np.sqrt(n),
+                "median": np.median(scores, axis=0),
+                "minimum": scores.min(axis=0),
+                "maximum": scores.max(axis=0),
+                "ci_low": mean - half * sd,
+                "ci_high": mean + half * sd,
+                "ci_low_within": mean - half * within,
+                "ci_high_within": mean + half * within,
+            }
+            parts.append(pd.DataFrame(stats))
+        table = pd.concat(parts, ignore_index=True)
         names = ["condition"] if self.one_way else [*self.between, *self.within]
         cells = [*product(*self.between.values(), *self.within.values())]
-        return labelled(pd.DataFrame(cells, columns=names, dtype=object).join(stats), self.origin)
+        return labelled(pd.DataFrame(cells, columns=names, dtype=object).join(table), self.origin)
 
     def pairs(
         self,
@@ -168,23 +190,22 @@ class RepeatedMeasures(Tested):
             return labelled(table, self.origin)
         if factor is None and len(self.within) == 1:
             factor = next(iter(self.within))
-        names, weights = pairs.level_pairs(self.design, factor, at)
+        names, groups, cells = pairs.level_pairs(self.design, factor, at)
         regression = regress(self.scores.to_numpy()[None], self.design)
-        (difference,), (se,) = pairs.differences(regression, weights)
-        sd = np.sqrt(np.diagonal(regression.covariance(weights.sum(axis=1).T)[0]))
-        sd = np.where(factor in self.between, np.nan, sd)
+        (difference,), (se,), (sd,) = pairs.differences(regression, groups, cells)
+        sd = np.nan if factor in self.between else sd
         table = pairs.compared(names, difference, se, self.design.df_error, sd, level)
         table = table.drop(columns="se")
         if self.one_way:
-            both = 0.5 * np.abs(weights[:, 0]) @ self.scores.std()
+            both = 0.5 * self.scores.std() @ np.abs(cells)
             d_av = difference / np.where(both > 0.0, both, np.nan)
             table = table.drop(columns="level").assign(d_av=d_av)
         return labelled(table, self.origin)
 
     def residual_covariance(self) -> np.ndarray:
         """Return the covariance of the cells, given the groups."""
-        regression = regress(self.scores.to_numpy()[None], self.design)
-        return regression.covariance(np.eye(self.k))[0]
+        errors = regress(self.scores.to_numpy()[None], self.design).residual[0]
+        return errors.T @ errors / self.design.df_error
 
     def normality(self) -> pd.DataFrame:
         """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
@@ -265,27 +286,6 @@ class RepeatedMeasures(Tested):
         return axes
 
 
-def describe(scores: np.ndarray) -> pd.DataFrame:
-    """
-    Return n mean sd se median minimum maximum of every condition, and both intervals of the mean.
-
-    Removing the subjects' means (Cousineau, 2005) leaves the spread that a comparison within
-    subjects sees; the factor √(k/(k − 1)) (Morey, 2008) compensates for the variance that this
-    removes.
-    """
-    n, k = scores.shape
-    mean, sd = scores.mean(axis=0), scores.std(axis=0, ddof=1)
-    stats = {"n": n, "mean": mean, "sd": sd, "se": sd / np.sqrt(n)}
-    stats |= {"median": np.median(scores, axis=0)}
-    stats |= {"minimum": scores.min(axis=0), "maximum": scores.max(axis=0)}
-    inside = scores - scores.mean(axis=1, keepdims=True)
-    within = inside.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
-    half = special.stdtrit(n - 1, 0.975) / np.sqrt(n)
-    for end, spread in {"": sd, "_within": within}.items():
-        stats |= {f"ci_low{end}": mean - half * spread, f"ci_high{end}": mean + half * spread}
-    return pd.DataFrame(stats)
-
-
 def repeated_measures(
     frame: pd.DataFrame,
     dv: Hashable,
@@ -364,48 +364,34 @@ def repeated_measures(
     if not covariates:
         remedy += f"; or call {call}, which takes missing cells"
     scores, excluded = complete_scores(cells, dv, missing, remedy)
-    design = _design(table, scores, subject, levels, groups, names_of(covariates))
-    tests = effects(scores.to_numpy()[None], design).loc[0].reset_index()
-    tests = tests.assign(**_corrected(tests, design, correction), alpha=alpha)
-    origin = origin_of(frame)
-    tests = tests.assign(excluded=len(excluded), origin=origin)
-    tests.insert(0, "dv", [dv] * len(tests))
-    tests.insert(1, "within", effect_name(levels))
-    tests.insert(3, "n", design.n)
-    tests.insert(4, "k", scores.shape[1])
-    return RepeatedMeasures(scores, design, labelled(tests, origin), excluded, correction)
-
-
-def _design(
-    table: pd.DataFrame,
-    scores: pd.DataFrame,
-    subject: Hashable,
-    levels: Levels,
-    groups: Levels,
-    covariates: list[Hashable],
-) -> Design:
-    """Return the design of the subjects whose scores are complete."""
     people = table.drop_duplicates(subject).set_index(subject).loc[scores.index]
-    codes, numbers = {}, {}
+    group, numbers = np.zeros(len(people), dtype=int), {}
     for name, listed in groups.items():
-        codes[name] = people[name].cat.codes.to_numpy()
+        group = len(listed) * group + people[name].cat.codes.to_numpy()
         if people[name].value_counts().min() < 2:
             raise ValueError(
                 f"between: every group of column {name!r}, {listed}, needs two complete "
                 f"participants, got {people[name].tolist()}"
             )
-    for name in covariates:
+    for name in names_of(covariates):
         x = numbers_of(people[name], "covariates")
         numbers[name] = (x - x.mean()) / (x.std() or 1.0)
-    design = Design(len(scores), levels, groups, codes, numbers)
+    design = Design(len(people), levels, groups, group, numbers)
     columns = design.matrix.shape[1]
     if np.linalg.matrix_rank(design.matrix) < columns or design.df_error < 1:
         raise ValueError(
-            f"{'covariates' if covariates else 'between'}: effects of {[*groups, *covariates]} are "
+            f"{'covariates' if covariates else 'between'}: effects of {[*groups, *numbers]} are "
             "not defined: some combination of groups has no participant, a covariate follows from "
             f"them, or {columns} parameters are too many for {design.n} participants"
         )
-    return design
+    tests = effects(scores.to_numpy()[None], design).loc[0].reset_index()
+    corrected, origin = _corrected(tests, design, correction), origin_of(frame)
+    tests = tests.assign(**corrected, alpha=alpha, excluded=len(excluded), origin=origin)
+    tests.insert(0, "dv", [dv] * len(tests))
+    tests.insert(1, "within", effect_name(levels))
+    tests.insert(3, "n", design.n)
+    tests.insert(4, "k", scores.shape[1])
+    return RepeatedMeasures(scores, design, labelled(tests, origin), excluded, correction)
 
 
 def _corrected(tests: pd.DataFrame, design: Design, correction: str) -> dict[str, Any]:

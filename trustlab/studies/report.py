@@ -24,6 +24,10 @@ _LATEX |= {"±": r"$\pm$", "≥": r"$\geq$", "×": r"$\times$", "η": r"$\eta$",
 _LATEX |= {"ε": r"$\varepsilon$", "τ": r"$\tau$", "β": r"$\beta$", "–": "--"}
 _LATEX |= {"<": "$<$", ">": "$>$", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 _LATEX |= {"\\": r"\textbackslash "} | {sign: f"\\{sign}" for sign in "&%$#_{}"}
+# What is printed of an analysis of variance.
+DESCRIBED = ["n", "mean", "sd", "ci_low", "ci_high"]
+TESTED = ["effect", "F", "df1_corrected", "df2_corrected", "p_corrected", "eta2_partial"]
+TESTED += ["eta2_partial_low", "eta2_partial_high", "eta2_generalized", "correction"]
 # Columns beyond which the one row of a result is printed as a column.
 _WIDE = 8
 
@@ -87,10 +91,27 @@ class StudyReport(Result):
             title if self.origin in title else f"{title} [{self.origin}]": printed(table)
             for title, table in self.tables.items()
         }
-        document = (_html if kind == ".html" else _latex)(self.message, tables)
-        if kind == ".html" and isinstance(self.result, RepeatedMeasures):
-            document += _drawn(self.result)
-        path.write_text(document, encoding="utf-8")
+        if kind == ".html":
+            parts = [f"<p>{html.escape(self.message)}</p>"] if self.message else []
+            for number, (title, table) in enumerate(tables.items(), start=1):
+                caption = f"<p><b>Table {number}</b><br><i>{html.escape(title)}</i></p>"
+                parts += [caption, table.to_html(index=False, border=0)]
+            if isinstance(self.result, RepeatedMeasures):
+                import matplotlib.pyplot as plt
+
+                drawing, figure = io.StringIO(), self.result.plot().figure
+                figure.savefig(drawing, format="svg")
+                plt.close(figure)
+                # Without the declarations of a file.
+                parts.append("".join(drawing.getvalue().partition("<svg")[1:]))
+        else:
+            with extra("reports"):
+                import jinja2  # noqa: F401  what pandas writes LaTeX with
+            parts = [_in_latex(self.message)]
+            for title, table in tables.items():
+                cells = table.map(_in_latex).rename(columns=_in_latex)
+                parts += ["", cells.to_latex(index=False, caption=_in_latex(title))]
+        path.write_text("\n".join(parts), encoding="utf-8")
         return path
 
 
@@ -140,7 +161,16 @@ def report(
         raise ValueError("thresholds are printed beside fits by name: give frame={name: fit, …}")
     result = frame if dv is None else repeated_measures(frame, dv, within, subject, **options)
     if isinstance(result, RepeatedMeasures):
-        return StudyReport(result, result.message, _section(result), result.origin)
+        labels = ["condition"] if result.one_way else [*result.between, *result.within]
+        tables = {
+            "Descriptive statistics": result.descriptives()[[*labels, *DESCRIBED]],
+            "Analysis of variance": result.table()[TESTED],
+        }
+        for factor in (*result.within, *result.between):
+            of_factor = "" if result.one_way else f" of {factor}"
+            pairs = result.pairs(factor).drop(columns=["level", "d_av"], errors="ignore")
+            tables[f"Pairwise comparisons{of_factor}"] = pairs
+        return StudyReport(result, result.message, tables, result.origin)
     table = _table_of(result)
     origin, title = _origin(result, table), getattr(result, "title", "Results")
     if len(table) == 1 and table.shape[1] > _WIDE:
@@ -159,24 +189,6 @@ def _table_of(result: Any) -> pd.DataFrame:
     return result.table()
 
 
-def _section(result: RepeatedMeasures) -> dict[str, pd.DataFrame]:
-    """Return the tables of an analysis of variance; levels that are numbers stay as they are."""
-    factors = [*result.within, *result.between]
-    labels = ["condition"] if result.one_way else [*result.between, *result.within]
-    stats, tests = result.descriptives(), result.table()
-    heads = ["effect", "F", "df1_corrected", "df2_corrected", "p_corrected", "eta2_partial"]
-    heads += ["eta2_partial_low", "eta2_partial_high", "eta2_generalized", "correction"]
-    tables = {
-        "Descriptive statistics": stats[[*labels, "n", "mean", "sd", "ci_low", "ci_high"]],
-        "Analysis of variance": tests[heads],
-    }
-    for factor in factors:
-        of_factor = "" if result.one_way else f" of {factor}"
-        pairs = result.pairs(factor).drop(columns=["level", "d_av"], errors="ignore")
-        tables[f"Pairwise comparisons{of_factor}"] = pairs
-    return tables
-
-
 def _side_by_side(
     results: Mapping[Hashable, Any], thresholds: Mapping[Hashable, Any]
 ) -> StudyReport:
@@ -193,36 +205,29 @@ def _side_by_side(
     title, table = "Results", whole
     if {"value", "stderr"} <= set(whole):
         title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
-        rows = [
-            {"of": f"{name}{'' if fit.success else ' (the fit failed)'}"}
-            | _estimates(fit)
-            | (_chosen(thresholds[name]) if thresholds else {})
-            for name, fit in results.items()
-        ]
+        rows = []
+        for name, fit in results.items():
+            row = {"of": f"{name}{'' if fit.success else ' (the fit failed)'}"}
+            estimates = fit.table()
+            names = estimates.index
+            if "status" in estimates:
+                names = names[estimates["status"] != "derived"]
+            # Time constants, in the place of what they are derived from.
+            times = {name: f"{name.removesuffix('a')}time_constant" for name in names}
+            names = [time if time in estimates.index else name for name, time in times.items()]
+            texts = printed(estimates.loc[names, ["value", "stderr"]]).replace("", "–")
+            cells = texts["value"] + " ± " + texts["standard error"]
+            row |= dict(zip(map(in_words, names), cells, strict=True))
+            if thresholds:
+                choice = thresholds[name]
+                row["TSC_l"] = apa_number(choice.lower, 3)
+                row["TSC_u"] = apa_number(choice.upper, 3)
+                row["offered"] = "yes" if choice.offered else "no"
+                if not np.isnan(choice.probability):  # a fit has none
+                    row["probability"] = f"{choice.probability:.2f}"
+            rows.append(row)
         table = pd.DataFrame(rows).fillna("")
     return StudyReport(whole, text, {title: table}, ", ".join(sorted(origins)))
-
-
-def _estimates(fit: Any) -> dict[str, str]:
-    """
-    Return estimates with their errors; derived ones are time constants, in the place of what they
-    are derived from.
-    """
-    rows = fit.table()
-    names = rows.index[rows["status"] != "derived"] if "status" in rows else rows.index
-    times = {name: f"{name.removesuffix('a')}time_constant" for name in names}
-    names = [time if time in rows.index else name for name, time in times.items()]
-    texts = printed(rows.loc[names, ["value", "stderr"]]).replace("", "–")
-    cells = texts["value"] + " ± " + texts["standard error"]
-    return dict(zip(map(in_words, names), cells, strict=True))
-
-
-def _chosen(choice: Any) -> dict[str, str]:
-    """Return the thresholds of one person; a fit's have no probability."""
-    row = {"TSC_l": apa_number(choice.lower, 3), "TSC_u": apa_number(choice.upper, 3)}
-    row["offered"] = "yes" if choice.offered else "no"
-    known = {} if np.isnan(choice.probability) else {"probability": f"{choice.probability:.2f}"}
-    return row | known
 
 
 def _sentences(result: Any) -> str:
@@ -237,36 +242,6 @@ def _sentences(result: Any) -> str:
 def _origin(result: Any, table: pd.DataFrame) -> str:
     origin = getattr(result, "origin", "") or table.attrs.get("origin", "")
     return origin or ("synthetic data" if getattr(result, "synthetic", False) else "")
-
-
-def _drawn(result: RepeatedMeasures) -> str:
-    """Return the figure of an analysis as SVG."""
-    import matplotlib.pyplot as plt
-
-    drawing = io.StringIO()
-    figure = result.plot().figure
-    figure.savefig(drawing, format="svg")
-    plt.close(figure)
-    # Without the declarations of a file.
-    return "".join(drawing.getvalue().partition("<svg")[1:])
-
-
-def _html(text: str, tables: dict[str, pd.DataFrame]) -> str:
-    parts = [f"<p>{html.escape(text)}</p>"] if text else []
-    for number, (title, table) in enumerate(tables.items(), start=1):
-        caption = f"<p><b>Table {number}</b><br><i>{html.escape(title)}</i></p>"
-        parts += [caption, table.to_html(index=False, border=0)]
-    return "\n".join(parts)
-
-
-def _latex(text: str, tables: dict[str, pd.DataFrame]) -> str:
-    with extra("reports"):
-        import jinja2  # noqa: F401  what pandas writes LaTeX with
-    parts = [_in_latex(text)]
-    for title, table in tables.items():
-        cells = table.map(_in_latex).rename(columns=_in_latex)
-        parts.append(cells.to_latex(index=False, caption=_in_latex(title)))
-    return "\n\n".join(parts)
 
 
 def _in_latex(text: str) -> str:

@@ -209,8 +209,13 @@ def read_factors(
     factors = within + between
     if not factors or frame.empty:
         raise ValueError("within and between name no factor, or frame has no rows")
-    columns = {"dv": [dv], "within": within, "between": between, "covariates": covariates}
-    columns["subject"] = [subject]
+    columns = {
+        "dv": [dv],
+        "within": within,
+        "between": between,
+        "covariates": covariates,
+        "subject": [subject],
+    }
     arguments = {}
     for argument, names in columns.items():
         for name in names:
@@ -252,6 +257,11 @@ def labels_index(labels: Iterable) -> pd.Index:
     return pd.Index(labels, dtype=object, tupleize_cols=False)
 
 
+def cells_of(levels: Levels) -> list:
+    """Return the cells of factors, the last varying fastest: tuples; of one factor its levels."""
+    return [cell if len(levels) > 1 else cell[0] for cell in product(*levels.values())]
+
+
 def read_cells(
     table: pd.DataFrame, levels: Levels, dv: Hashable, subject: Hashable
 ) -> pd.DataFrame:
@@ -269,8 +279,8 @@ def read_cells(
     subjects = table[subject].cat.categories
     values = np.full([len(subjects), *map(len, levels.values())], np.nan)
     values[*(table[name].cat.codes for name in names)] = scores
-    cells = [*product(*levels.values())] if len(levels) > 1 else next(iter(levels.values()))
-    wide = pd.DataFrame(values.reshape(len(subjects), -1), subjects, labels_index(cells))
+    cells = labels_index(cells_of(levels))
+    wide = pd.DataFrame(values.reshape(len(subjects), -1), subjects, cells)
     return labelled(wide, origin_of(table))
 
 

@@ -305,7 +305,16 @@ def virtual_study(
     people = bed.people(n, assumptions, seed)
     for name in bed.rules if bed.takes_rules else ():  # a rule is refused before anybody runs
         bed.rule_of(name, people.iloc[0].to_dict())
-    folder = None if out is None else _study_folder(out)
+    folder = None
+    if out is not None:
+        folder = path_of("out", out)
+        begun = (folder / "campaign").exists()
+        if not begun and any(path.is_file() for path in folder.rglob("*")):
+            raise ValueError(
+                f"out: {folder} holds files that are not known to be of this study; give a new or "
+                "empty folder"
+            )
+        (folder / "sessions").mkdir(parents=True, exist_ok=True)
     fixed = {"testbed": bed, "folder": folder and str(folder / "sessions")}
     orders = ["/".join(order) for order in design.table().to_numpy()]
     done = run_campaign(
@@ -380,19 +389,6 @@ def _tidy(
     frame = design.orders().merge(long.reset_index())
     frame["condition"] = pd.Categorical(frame["condition"], conditions)
     return labelled(frame.assign(synthetic=True)[[*KEYS, *long]], ORIGIN)
-
-
-def _study_folder(out: str | os.PathLike) -> Path:
-    """Return a folder for a study: an empty one, or one with a campaign that may go on."""
-    folder = path_of("out", out)
-    begun = (folder / "campaign").exists()
-    if not begun and any(path.is_file() for path in folder.rglob("*")):
-        raise ValueError(
-            f"out: {folder} holds files that are not known to be of this study; give a new or "
-            "empty folder"
-        )
-    (folder / "sessions").mkdir(parents=True, exist_ok=True)
-    return folder
 
 
 def _finish(folder: Path, study: VirtualStudy) -> None:

@@ -207,36 +207,19 @@ def apa_report(result: Any, adjust: str = "holm") -> str:
         f"{result.n}"
         f"{', correction of degrees of freedom: ' * corrected}{rule}): {effects}."
     )
-    if result.one_way:
-        means = listed(condition_means(result.descriptives()))
-        text += f"{_sphericity(rows[0], result.alpha)} By condition: {means}."
-        text += _pairs(result, adjust)
-    return text + _left_out(result)
-
-
-def _sphericity(row: dict, alpha: float) -> str:
-    if row["df1"] == 1:
-        return ""
-    if np.isnan(row["mauchly_p"]):
-        return " Mauchly's test of sphericity is not defined."
-    return (
-        f" Sphericity {'was violated' if row['mauchly_p'] < alpha else 'was not rejected'} "
-        f"(Mauchly's W = {share(row['mauchly_w'])}, χ²({row['mauchly_df']}) = "
-        f"{apa_number(row['mauchly_chi2'])}, {apa_p(row['mauchly_p'])}; Greenhouse–Geisser's ε = "
-        f"{share(row['epsilon_gg'])})."
-    )
-
-
-def condition_means(stats: pd.DataFrame) -> list[str]:
-    """Return "C1 (M = 3.21, SD = 0.80)" for each row of descriptive statistics."""
-    digits = decimals_of(stats["sd"], 3)
-    return [
-        f"{condition} (M = {apa_number(mean, digits)}, SD = {apa_number(sd, digits)})"
-        for condition, mean, sd in zip(stats["condition"], stats["mean"], stats["sd"], strict=True)
-    ]
-
-
-def _pairs(result: Any, adjust: str) -> str:
+    if not result.one_way:
+        return text + _left_out(result)
+    row = rows[0]
+    if np.isnan(row["mauchly_p"]) and row["df1"] > 1:
+        text += " Mauchly's test of sphericity is not defined."
+    elif row["df1"] > 1:
+        verdict = "was violated" if row["mauchly_p"] < result.alpha else "was not rejected"
+        text += (
+            f" Sphericity {verdict} (Mauchly's W = {share(row['mauchly_w'])}, "
+            f"χ²({row['mauchly_df']}) = {apa_number(row['mauchly_chi2'])}, "
+            f"{apa_p(row['mauchly_p'])}; Greenhouse–Geisser's ε = {share(row['epsilon_gg'])})."
+        )
+    text += f" By condition: {listed(condition_means(result.descriptives()))}."
     column, kind = _ADJUSTMENTS[adjust]
     significant, rest = [], []
     for row in result.pairs().to_dict("records"):
@@ -251,7 +234,16 @@ def _pairs(result: Any, adjust: str) -> str:
             rest.append(f"{a} and {b} ({'no test: one difference' if np.isnan(p) else apa_p(p)})")
     found = f" {'; '.join(significant)}." if significant else ""
     none = f" No significant difference between {listed(rest)}." if rest else ""
-    return f" Paired t-tests ({kind}):{found}{none}"
+    return f"{text} Paired t-tests ({kind}):{found}{none}{_left_out(result)}"
+
+
+def condition_means(stats: pd.DataFrame) -> list[str]:
+    """Return "C1 (M = 3.21, SD = 0.80)" for each row of descriptive statistics."""
+    digits = decimals_of(stats["sd"], 3)
+    return [
+        f"{condition} (M = {apa_number(mean, digits)}, SD = {apa_number(sd, digits)})"
+        for condition, mean, sd in zip(stats["condition"], stats["mean"], stats["sd"], strict=True)
+    ]
 
 
 def _left_out(result: Any) -> str:
