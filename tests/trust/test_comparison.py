@@ -13,7 +13,7 @@ from trustlab.trust.dynamics import MODELS
 from trustlab.trust.likelihood import predict, simulate_ratings
 from trustlab.trust.panel import panel_until
 
-FAST = ["performance", "asymmetric", "persistence", "habit"]
+FAST = ["performance", "asymmetric", "persistence"]
 
 
 @pytest.fixture(scope="module")

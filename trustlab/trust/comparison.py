@@ -16,21 +16,21 @@ from trustlab.trust.interface import TrustDynamics
 from trustlab.trust.likelihood import cell, predict, simulate_ratings
 from trustlab.trust.panel import Panel, panel_until
 
-# Of every person: squared errors, less is better; log score in nats a rating, more is better; log
-# loss of reliance in nats a decision, less is better; ratings within the 90 % interval.
-MEASURES = ("free_error", "step_error", "log_score", "reliance_loss", "coverage")
+# Of every person: squared errors, less is better; log score in nats a rating, more is better;
+# ratings within the 90 % interval.
+MEASURES = ("free_error", "step_error", "log_score", "coverage")
 Models = Sequence | Mapping | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrustComparison(Result):
     """
-    Scores of models of trust on ratings that they were not fitted to.
+    Scores of models of trust on people that they were not fitted to.
 
     Parameters
     ----------
     scores : pandas.DataFrame
-        A row per split, model and person: split, model, person and the measures.
+        A row per model and person: model, person and the measures.
     against : str
         The model that others are compared with.
     source : str
@@ -62,7 +62,7 @@ class TrustComparison(Result):
         -------
         pandas.DataFrame
             Columns split, model, free_rmse and step_rmse (from no rating but the first, or from all
-            so far), log_score, reliance_loss, coverage (of 90 % intervals).
+            so far), log_score, coverage (of 90 % intervals).
         """
         means = self.scores.groupby(["split", "model"], sort=False)[list(MEASURES)].mean()
         errors = list(MEASURES[:2])
@@ -85,7 +85,7 @@ class TrustComparison(Result):
             ci_low, ci_high (Student's t over people), people.
         """
         reference = one_of("against", against or self.against, self.scores["model"].unique())
-        long = self.scores.melt(["split", "person", "model"], MEASURES[:4], "measure", "score")
+        long = self.scores.melt(["split", "person", "model"], MEASURES[:3], "measure", "score")
         wide = long.pivot_table("score", ["split", "measure", "person"], "model", sort=False)
         apart = wide.drop(columns=reference).sub(wide[reference], axis=0)
         values = apart.stack()  # noqa: PD013 (melting would lose the order)
@@ -153,14 +153,14 @@ def compare_trust_models(
     >>> import trustlab as tl
     >>> result = tl.compare_trust_models(tl.read_people("hybrid_vr"), ["beta", "persistence"])
     >>> result.table().shape
-    (4, 7)
+    (4, 6)
     """
     of_class("panel", panel, Panel, "tl.read_people(…) reads one")
     chosen = named_models(models)
     if against not in chosen and against == "performance":
         against = next(iter(chosen))
     one_of("against", against, list(chosen))
-    free = one_of("criterion", criterion, CRITERIA) == "free"
+    one_of("criterion", criterion, CRITERIA)
     folds = whole_number("folds", folds, least=2)
     if len(panel) < folds:
         raise ValueError(f"{folds} folds need as many people, got {len(panel)}; folds={len(panel)}")
@@ -171,15 +171,14 @@ def compare_trust_models(
     splits = [
         ("people", panel.of(np.setdiff1d(order, group)), panel.of(group), 0) for group in groups
     ]
-    splits += (
-        [("last third", panel_until(panel, later), panel, later)] if later < panel.trials else []
-    )
+    if later < panel.trials:
+        splits.append(("last third", panel_until(panel, later), panel, later))
     # Where all people are fitted best is a good place to start from, and nothing more.
-    starts = {name: fitted(panel, model, free=free).coordinates for name, model in chosen.items()}
+    starts = {name: fitted(panel, model, criterion).coordinates for name, model in chosen.items()}
     tables = []
     for split, seen, unseen, since in splits:
         for name, model in chosen.items():
-            fit = fitted(seen, model, free=free, start=starts[name])
+            fit = fitted(seen, model, criterion, starts[name])
             tables.append(_scores(fit, unseen, since).assign(split=split, model=name))
     scores = pd.concat(tables, ignore_index=True)[["split", "model", "person", *MEASURES]]
     return TrustComparison(scores, against, panel.source, panel.cautions)
@@ -194,12 +193,10 @@ def _scores(fit: TrustFit, panel: Panel, since: int) -> pd.DataFrame:
         _in_central_interval(rating, actual[:, k], panel.resolution)
         for k, rating in enumerate(steps.distributions)
     ]
-    odds = fit.link.bias + fit.link.slope * steps.preference
     values = {
         "free_error": np.square(free.mean - actual),
         "step_error": np.square(steps.mean - actual),
         "log_score": np.log(steps.probability(panel)),
-        "reliance_loss": -special.log_expit(-odds) - panel.events.followed * odds,
         "coverage": np.where(np.isnan(actual), np.nan, np.transpose(inside)),
     }
     means = {name: pd.DataFrame(value[:, since:]).mean(axis=1) for name, value in values.items()}

@@ -11,18 +11,15 @@ from trustlab.trust.panel import Panel
 
 class Predictions(NamedTuple):
     """
-    What a model says before every event and every later rating.
+    What a model says of every rating after an event.
 
     Parameters
     ----------
     distributions : list
         Of the ratings after each event.
-    preference : numpy.ndarray, shape (N, K)
-        What reliance depends on, before each event.
     """
 
     distributions: list
-    preference: np.ndarray
 
     @property
     def mean(self) -> np.ndarray:
@@ -67,15 +64,13 @@ def predict(model: TrustDynamics, panel: Panel, free: bool = False, known: int =
     -------
     Predictions
     """
-    belief = model.start(panel.ratings[:, 0])
-    distributions, preference = [], np.empty((len(panel), panel.trials))
+    belief, distributions = model.start(panel.ratings[:, 0]), []
     for k in range(panel.trials):
-        preference[:, k] = model.preference(belief)
         belief = model.step(belief, panel.event(k))
         distributions.append(model.rating(belief))
         if not free or k < known:
             belief = model.learn(belief, panel.ratings[:, k + 1])
-    return Predictions(distributions, preference)
+    return Predictions(distributions)
 
 
 def log_likelihood(model: TrustDynamics, panel: Panel, free: bool = False) -> np.ndarray:
