@@ -45,7 +45,7 @@ def cell(rating: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray]
     return low, np.where(rating + half >= 1.0, np.inf, rating + half)
 
 
-def predict(model: TrustDynamics, panel: Panel, free: bool = False, known: int = 0) -> Predictions:
+def predict(model: TrustDynamics, panel: Panel, free: bool = False) -> Predictions:
     """
     Return what a model predicts of a panel.
 
@@ -56,9 +56,7 @@ def predict(model: TrustDynamics, panel: Panel, free: bool = False, known: int =
     panel : Panel
         Events, and ratings to learn from.
     free : bool
-        Learn from no rating but the first, or the `known` first ones.
-    known : int
-        With `free`: ratings after how many events are learned from.
+        Learn from no rating but the first.
 
     Returns
     -------
@@ -68,7 +66,7 @@ def predict(model: TrustDynamics, panel: Panel, free: bool = False, known: int =
     for k in range(panel.trials):
         belief = model.step(belief, panel.event(k))
         distributions.append(model.rating(belief))
-        if not free or k < known:
+        if not free:
             belief = model.learn(belief, panel.ratings[:, k + 1])
     return Predictions(distributions)
 

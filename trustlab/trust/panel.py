@@ -81,12 +81,6 @@ class Panel:
         return replace(self, people=people, events=events, ratings=self.ratings[rows])
 
 
-def panel_until(panel: Panel, event: int) -> Panel:
-    """Return a panel without the ratings after an event, counted from 1."""
-    ratings = np.where(np.arange(panel.trials + 1) > event, np.nan, panel.ratings)
-    return replace(panel, ratings=ratings)
-
-
 def panel_of(
     table: pd.DataFrame,
     *,
