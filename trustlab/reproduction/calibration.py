@@ -27,7 +27,7 @@ from scipy import special
 from scipy.spatial import KDTree
 
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import between, in_order, of_class, one_of, shown, whole_number
+from trustlab.models.checks import in_order, of_class, one_of, shown, whole_number
 from trustlab.models.display import Result
 from trustlab.models.files import write_atomically
 from trustlab.operators.ground_robot import checked_assumptions
@@ -59,6 +59,9 @@ TELEOPERATOR_PRIORS = {
     "allocation_cost": (0.0, 0.6),
     "fatigue_of_hand": (0.0, 0.5),
 }
+
+# The least share of `Calibration.reach` that is within reach.
+LEAST_SHARE = 0.05
 
 # Simulations for every coefficient of the regression, at the least.
 LEAST_PER_COEFFICIENT = 2
@@ -128,11 +131,6 @@ class Calibration(Result):
         return tuple(compress(self.priors, self._sampled[1]))
 
     @property
-    def assumptions(self) -> dict[str, float]:
-        """Medians of the posterior, for `simulated_effects`."""
-        return self.posterior.median().to_dict()
-
-    @property
     def title(self) -> str:
         """The study."""
         return f"Calibration of {self.study}"
@@ -199,37 +197,29 @@ class Calibration(Result):
             scale = np.maximum(values.std(axis=0), 1e-12)
             tree = KDTree(values / scale)
             nearest, _ = tree.query(printed / scale)
-            apart = tree.query(values / scale, 2)[0][:, 1]
+            apart = tree.query(tree.data, 2)[0][:, 1]
             typical, share = np.median(apart), (apart >= nearest).mean()
             rows.append((" ".join(measures), len(printed), nearest, typical, share))
         return pd.DataFrame(rows, columns=["measures", "effects", "nearest", "typical", "share"])
 
-    def within_reach(self, share: float = 0.05) -> "Calibration":
+    def within_reach(self) -> "Calibration":
         """
-        Return the calibration given as many measures as simulated studies reach at once, of equally
-        many the best reached.
-
-        Parameters
-        ----------
-        share : float
-            The least share of `reach` that counts.
+        Return the calibration given as many measures as simulated studies reach at once, with a
+        share of .05 or more in `reach`, of equally many the best reached.
 
         Raises
         ------
         ValueError
             If no measure is within reach.
         """
-        share = between("share", share, 0.0, 1.0)
         for size in range(len(self.measures), 0, -1):
             candidates = [self.given(*measures) for measures in combinations(self.measures, size)]
-            shares = [
-                -1.0 if c.extrapolated else float(c.reach()["share"].iloc[-1]) for c in candidates
-            ]
-            if max(shares) >= share:
+            shares = [-1.0 if c.extrapolated else c.reach()["share"].iloc[-1] for c in candidates]
+            if max(shares) >= LEAST_SHARE:
                 return candidates[int(np.argmax(shares))]
         raise ValueError(
             f"no measure of {self.study} is within reach of simulated studies, at a share of "
-            f"{share:g}"
+            f"{LEAST_SHARE:g}"
         )
 
     def checks(
@@ -275,20 +265,20 @@ class Calibration(Result):
         runs = [{"study": self.study, "n": self.settings["n"]} | row for row in drawn]
         done = run_campaign(simulated_study, runs, seed=seed, progress=False, n_jobs=n_jobs)
         effects = self.observed.set_index("id")
-        effects = effects[done[effects.index].notna().any()]
-        prior = self.simulations[effects.index].agg(["min", "max"]).to_numpy()
-        predicted = done[effects.index].astype(float).quantile([0.025, 0.975]).to_numpy()
-        reached, met = (
-            (low <= effects["high"]) & (effects["low"] <= high) for low, high in (prior, predicted)
-        )
-        table = effects[["printed"]].assign(
-            prior_low=prior[0],
-            prior_high=prior[1],
-            reached=reached,
-            low=predicted[0],
-            high=predicted[1],
-            predicted=met,
-        )
+        done = done[effects.index].dropna(axis="columns", how="all").astype(float)
+        effects = effects.loc[done.columns]
+        table = effects[["printed"]].copy()
+        for least, greatest, meets, ends in (
+            (
+                "prior_low",
+                "prior_high",
+                "reached",
+                self.simulations[done.columns].agg(["min", "max"]),
+            ),
+            ("low", "high", "predicted", done.quantile([0.025, 0.975])),
+        ):
+            low, high = table[least], table[greatest] = ends.to_numpy()
+            table[meets] = (low <= effects["high"]) & (effects["low"] <= high)
         return table.reset_index()
 
 
@@ -391,15 +381,10 @@ def write_calibration(calibration: Calibration, folder: str | os.PathLike) -> No
     folder : path-like
         Where; made if it is not there.
     """
-    place = Path(folder)
-    place.mkdir(parents=True, exist_ok=True)
-    about = {
-        "study": calibration.study,
-        "priors": calibration.priors,
-        "settings": calibration.settings,
-        "origin": "simulated operators",
-    }
-    path = place / calibration.study
+    path = Path(folder) / calibration.study
+    path.parent.mkdir(parents=True, exist_ok=True)
+    about = {name: getattr(calibration, name) for name in ("study", "priors", "settings")}
+    about["origin"] = "simulated operators"
     write_atomically(f"{path}.json", json.dumps(about, indent=1) + "\n")
     write_atomically(f"{path}.csv", calibration.simulations.to_csv(index=False))
 
@@ -443,8 +428,8 @@ def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple
         if np.shape(pair) != (2,):
             raise ValueError(f"the prior of {name} must be two numbers, got {shown(pair)}")
         ranges[name] = in_order(f"the low end of {name}", pair[0], "its high end", pair[1])
-    for end in (0, 1):
-        checked_assumptions({name: pair[end] for name, pair in ranges.items()}, EVERY_ASSUMPTION)
+    for ends in zip(*ranges.values(), strict=True):
+        checked_assumptions(dict(zip(ranges, ends, strict=True)), EVERY_ASSUMPTION)
     return ranges
 
 
@@ -457,7 +442,7 @@ def prior_draws(
     """
     low, high = np.transpose(list(ranges.values()))
     draws = np.random.default_rng([seed, 0x7072696F]).uniform(low, high, (count, len(ranges)))
-    return pd.DataFrame(draws, columns=list(ranges)).to_dict("records")
+    return [dict(zip(ranges, row, strict=True)) for row in draws.tolist()]
 
 
 def simulated_study(

@@ -38,38 +38,37 @@ COLUMNS = ["id", "where", "measure", "contrast", "printed", "low", "high", "p"]
 @cache
 def _effects() -> pd.DataFrame:
     """Return all effects that data/published/effects.toml lists, and of which study they are."""
-    listed = pd.DataFrame(_listed(**published_facts("effects")), columns=[*COLUMNS, "study"])
+    rows = []
+    for study, where, measure, contrasts, means, tests in _compared_means():
+        for contrast in contrasts:
+            after, before = contrast.split("-")
+            (low, high), (least, most) = map(printed_interval, (means[after], means[before]))
+            size = float(printed_decimal(means[after]) - printed_decimal(means[before]))
+            p = tests.get(f"{before}-{after}") or tests.get(contrast) or tests.get("p", "nan")
+            ends = size, low - most, high - least, float(p.removeprefix("<"))
+            rows.append((study, where, measure, contrast, *ends, study))
+    for claim in published_facts("effects")["claims"]:
+        about = claim["where"], claim["measure"], claim["contrast"]
+        ends = sorted((0.0, claim["sign"] * math.inf))
+        rows.append((claim["id"], *about, math.nan, *ends, math.nan, claim["study"]))
+    listed = pd.DataFrame(rows, columns=[*COLUMNS, "study"])
     listed["id"] += "/" + listed["measure"] + "/" + listed["contrast"]
     return listed
 
 
-def _listed(tables: list[dict], studies: list[dict], claims: list[dict]) -> Iterator[tuple]:
-    for table in tables:
-        name, where = table["study"], f"Table {table['table']}"
+def _compared_means() -> Iterator[tuple]:
+    """
+    Return study, where, measure, contrasts, printed means and p-values of effects with a size.
+    """
+    facts = published_facts("effects")
+    for table in facts["tables"]:
+        printed, where = published_table(table["table"]), f"Table {table['table']}"
         for measure, column in table["measures"].items():
-            means = published_table(table["table"])[column]
-            for contrast in table["contrasts"]:
-                yield (name, where, measure, contrast, *_sized(means, contrast), math.nan, name)
-    for each in studies:
-        study, name = published_studies()[each["name"]], each["name"].partition(".")[0]
-        for contrast in each["contrasts"]:
-            about = study.where, each["measure"], contrast
-            turned = "-".join(reversed(contrast.split("-")))
-            printed = {**study.t_test, **study.pairs}
-            text = printed.get(turned) or printed.get(contrast) or printed.get("p", "nan")
-            p = float(text.removeprefix("<"))
-            yield (name, *about, *_sized(study.mean, contrast), p, name)
-    for claim in claims:
-        about = claim["where"], claim["measure"], claim["contrast"]
-        ends = sorted((0.0, claim["sign"] * math.inf))
-        yield (claim["id"], *about, math.nan, *ends, math.nan, claim["study"])
-
-
-def _sized(means: Mapping[str, str], contrast: str) -> tuple[float, float, float]:
-    """Return the difference of two printed means, and its ends within their rounding."""
-    after, before = (means[condition] for condition in contrast.split("-"))
-    (low, high), (lowest, highest) = printed_interval(after), printed_interval(before)
-    return float(printed_decimal(after) - printed_decimal(before)), low - highest, high - lowest
+            yield table["study"], where, measure, table["contrasts"], printed[column], {}
+    for each in facts["studies"]:
+        study, chapter = published_studies()[each["name"]], each["name"].partition(".")[0]
+        tests = {**study.t_test, **study.pairs}
+        yield chapter, study.where, each["measure"], each["contrasts"], study.mean, tests
 
 
 def printed_effects() -> pd.DataFrame:

@@ -1,17 +1,14 @@
 """
-Whether several printed numbers can go together: the statistics of a study; means, whole points and
-sample sizes; numbers that are printed twice.
+Whether several printed numbers can go together: means, whole points and sample sizes; tests that
+were copied; numbers that are printed twice. `feasibility` has the statistics of a study.
 """
 
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction
-from functools import cache
 from statistics import mode
-from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -20,9 +17,7 @@ from trustlab.reproduction.audit.catalogue import PrintedNumber
 from trustlab.reproduction.audit.check import Numbers, Row, listing, row_about
 from trustlab.reproduction.printed import ROUNDINGS
 from trustlab.reproduction.published import published_facts
-from trustlab.reproduction.published_study import PRINTED, published_studies
-from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS
-from trustlab.reproduction.reconstruction.contradictions import contradictions
+from trustlab.reproduction.published_study import published_studies
 
 MEASURES = published_facts("measures")
 TLX_RULES = {rule: Fraction(points) for rule, points in MEASURES["tlx_rules"].items()}
@@ -35,33 +30,6 @@ PEOPLE = {
     "table_2.4": "section_2_4_1_1/participants",
     "table_3.1": "section_3_8_2_1/participants",
 }
-
-
-def study_conflicts(numbers: Numbers) -> dict[str, str]:
-    """Return numbers of studies that others contradict however p was adjusted, with the reason."""
-    conflicts = {}
-    for name in published_studies():
-        texts = tuple((id, x.printed) for id, x in numbers.items() if id.startswith(f"{name}/"))
-        conflicts |= _conflicts(name, int(numbers[f"{name}/n"].value), texts)
-    return conflicts
-
-
-@cache
-def _conflicts(name: str, n: int, texts: tuple[tuple[str, str], ...]) -> dict[str, str]:
-    """Return the conflicts of one study; what is printed of it is proved wrong once."""
-    printed, study = dict(texts), published_studies()[name]
-    fields: dict[str, Any] = {
-        key: {part: printed[f"{name}/{key}.{part}"] for part in getattr(study, key)}
-        for key in PRINTED
-    }
-    fields["epsilon"] = study.epsilon and printed[f"{name}/epsilon"]
-    again = replace(study, n=n, **fields)
-    first, *rest = (contradictions(again, p_adjust) for p_adjust in ADJUSTMENTS)
-    return {
-        f"{name}/{statistic}": f"Impossible: {reason}."
-        for statistic, reason in first.items()
-        if all(statistic in other for other in rest)
-    }
 
 
 def is_attainable(number: PrintedNumber, units: Fraction) -> bool:
@@ -135,14 +103,11 @@ def _ratings(
     return [*rows, items]
 
 
-def remarks(numbers: Numbers, conflicts: Mapping[str, str]) -> Iterator[Row]:
-    """
-    Return remarks on bounds of p that are unlike all others, unless they conflict, and on copied
-    tests.
-    """
+def remarks(numbers: Numbers) -> Iterator[Row]:
+    """Return remarks on bounds of p that are unlike all others, and on copied tests."""
     limits = {id: x.printed for id, x in numbers.items() if "/pairs." in id and x.is_bound}
-    for id in limits.keys() - conflicts.keys():
-        if limits[id] != mode(limits.values()):
+    for id, limit in limits.items():
+        if limit != mode(limits.values()):
             remark = "most of its kind have another bound; probably a zero is missing."
             yield row_about(numbers[id], f"Suspicious: {remark}")
     tests: dict[tuple[str, str], str] = {}  # the first study that has such χ² and p
