@@ -497,8 +497,8 @@ def trust_scores() -> pd.DataFrame:
     for name in RATED:
         for criterion in ("step", "free"):
             tables[name, criterion] = scored(tl.read_people(name), criterion)
-    for name in ("trust_transfer", "btm"):
-        tables[name, "step"] = scored(tl.read_people(name), "step", QUICK)
+    name = "trust_transfer"
+    tables[name, "step"] = scored(tl.read_people(name), "step", QUICK)
     for name in FOLLOWED:
         tables[f"simulated: {name}", "free"] = scored(simulated_people(name), "free", QUICK)
     return pd.concat(tables, names=["people", "criterion"]).reset_index(["people", "criterion"])

@@ -48,7 +48,6 @@ DIGESTS = {
     "hybrid_real": "19a50834eaed4553",
     "hybrid_vr": "57d9add2e9290609",
     "trust_transfer": "fadb8d79d62c5b5a",
-    "btm": "787eca1ffaecf4ed",
 }
 
 
@@ -61,11 +60,6 @@ def test_files_are_those_published():
 def test_other_sets():
     transfer = tl.read_people("trust_transfer")
     assert (len(transfer), transfer.trials) == (96, 1)
-    capabilities = tl.read_people("btm")
-    assert np.isfinite(capabilities.ratings[:, 1:]).sum() == 852
-    assert np.isfinite(capabilities.events.dt).sum(axis=0).tolist() == [852, 568, 284]
-    assert set(np.unique(capabilities.ratings[:, 1:] * 6).round(9)[:7]) == set(range(7))
-    assert np.isfinite(tl.fit_trust(capabilities, "performance").log_likelihood)
 
 
 def test_each_set_has_its_licence_and_source():

@@ -37,7 +37,7 @@ COLUMNS = ["id", "where", "measure", "contrast", "printed", "low", "high", "p"]
 
 @cache
 def _effects() -> pd.DataFrame:
-    """Return all effects that data/published/effects.toml lists, and of which study they are."""
+    """Return all effects that data/published/effects.toml lists, with their study and testbed."""
     rows = []
     for study, where, measure, contrasts, means, tests in _compared_means():
         for contrast in contrasts:
@@ -53,7 +53,7 @@ def _effects() -> pd.DataFrame:
         rows.append((claim["id"], *about, math.nan, *ends, math.nan, claim["study"]))
     listed = pd.DataFrame(rows, columns=[*COLUMNS, "study"])
     listed["id"] += "/" + listed["measure"] + "/" + listed["contrast"]
-    return listed
+    return listed.assign(place=listed["study"].replace(ALLOCATION))
 
 
 def _compared_means() -> Iterator[tuple]:
@@ -260,14 +260,11 @@ def simulated_effects(
     assumed = checked_assumptions(assumptions, EVERY_ASSUMPTION)
     n, seed = whole_number("n", n, least=3), whole_number("seed", seed, least=0)
     chosen = effects_of(only)
-    places = chosen["study"].replace(ALLOCATION)
     measured = {
-        place: _measured(place, assumed, n, seed, trust, n_jobs) for place in places.unique()
+        place: _measured(place, assumed, n, seed, trust, n_jobs)
+        for place in chosen["place"].unique()
     }
-    rows = [
-        _compared(effect, measured[place])
-        for effect, place in zip(chosen.itertuples(), places, strict=True)
-    ]
+    rows = [_compared(effect, measured[effect.place]) for effect in chosen.itertuples()]
     frame = chosen[COLUMNS].reset_index(drop=True).join(pd.DataFrame(rows, columns=SIMULATED))
     frame["agrees"] = frame["agrees"].astype("boolean")
     frame.attrs = {"origin": "simulated operators", "assumptions": assumed, "n": n, "seed": seed}
@@ -279,9 +276,8 @@ def effects_of(study: str | None, name: str = "only") -> pd.DataFrame:
     listed = _effects()
     if study is None:
         return listed
-    places = listed["study"].replace(ALLOCATION)
-    one_of(name, study, sorted({*places, *listed["study"]}))
-    return listed[(listed["study"] == study) | (places == study)]
+    one_of(name, study, sorted({*listed["place"], *listed["study"]}))
+    return listed[(listed["study"] == study) | (listed["place"] == study)]
 
 
 def _measured(

@@ -18,6 +18,7 @@ import trustlab as tl
 from trustlab.reproduction.audit.audit import audit, checked_rows
 from trustlab.reproduction.audit.catalogue import printed_numbers
 from trustlab.reproduction.audit.check import VERDICTS, Follows
+from trustlab.reproduction.audit.consistency import study_conflicts
 from trustlab.reproduction.audit.relations import relations
 
 PUBLISHED = Path(__file__).parents[3] / "data" / "published"
@@ -33,7 +34,7 @@ def verdicts():
 def quick(changes=None):
     """Rows by id of everything but the numbers that nothing determines."""
     numbers = printed_numbers(changes)
-    return {row.id: row for row in checked_rows(numbers)}
+    return {row.id: row for row in checked_rows(numbers, study_conflicts(numbers))}
 
 
 # Slips that stand however the inputs were rounded.
@@ -213,6 +214,16 @@ def test_a_gain_that_breaks_its_equation_is_no_excuse_but_is_named(verdicts):
 
 def test_impossible_numbers_differ():
     changes = {
+        "uav.utilization/anova.F": "9.9",  # means and SDs leave 10.26 and more
+        "uav.utilization/sd.C5": "0.250",  # a share of mean 0.95 has at most 0.231
+        "uav.followed/t_test.t": "1.9",
+        "teleop.tlx/pairs.M-TMIG": "0.045",  # 6 p at a correlation of −1 is 0.015
+        "uav.trust/mean.C5": "7.264",  # rated from 1 to 7
+    }
+    assert study_conflicts(printed_numbers()).keys() == {"teleop.tracking_error/anova.df1"}
+    for id, text in changes.items():
+        assert id in study_conflicts(printed_numbers({id: text})), id
+    changes = {
         "uav.satisfaction/mauchly.chi2": "20.1",  # ε = 0.693 leaves 22.9 and more
         # (2.3) moves P_r by (1 − a_pr)(P_r_max − P_r_min) at most, 0.0035 × 0.12
         "table_2.1/delta_P_r/3": "4.9e-4",
@@ -229,6 +240,12 @@ def test_impossible_numbers_differ():
     for id, text in changes.items():
         assert before[id].verdict == "not checkable"
         assert quick({id: text})[id].verdict == "differs", id
+
+
+def test_a_contradiction_of_a_study_is_a_verdict():
+    row = audit({"uav.utilization/sd.C5": "0.250"}).set_index("id").loc["uav.utilization/sd.C5"]
+    assert row["verdict"] == "differs"
+    assert row["reason"].startswith("Impossible: sd.C5 = 0.250 must lie between 0 and 0.2")
 
 
 def test_a_mean_may_be_printed_as_a_bound():

@@ -8,17 +8,22 @@ import pandas as pd
 
 from trustlab.reproduction.audit.catalogue import printed_numbers, why_unchecked
 from trustlab.reproduction.audit.check import NotPrintedError, Numbers, Row, row_about
-from trustlab.reproduction.audit.consistency import remarks, restated_rows, sample_checks
+from trustlab.reproduction.audit.consistency import (
+    remarks,
+    restated_rows,
+    sample_checks,
+    study_conflicts,
+)
 from trustlab.reproduction.audit.relations import relations
 
 
-def checked_rows(numbers: Numbers) -> Iterator[Row]:
-    """Return the rows of all checks."""
+def checked_rows(numbers: Numbers, conflicts: Mapping[str, str]) -> Iterator[Row]:
+    """Return the rows of all checks, given what conflicts."""
     for relation in relations(numbers):
         with suppress(NotPrintedError):  # a study need not print all that its relations use
             yield relation.row(numbers)
     yield from sample_checks(numbers)
-    yield from remarks(numbers)
+    yield from remarks(numbers, conflicts)
     yield from restated_rows(numbers)
 
 
@@ -59,12 +64,15 @@ def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
     {'not checkable': 443, 'reproduced': 178, 'differs': 22, 'within rounding': 16}
     """
     numbers = printed_numbers(changes)
-    rows = list(checked_rows(numbers))
+    conflicts = study_conflicts(numbers)
+    rows = list(checked_rows(numbers, conflicts))
     # A number counts as checked if a row has its id, or continues it after a slash; to be printed
     # twice is no check.
     checks = [row.id for row in rows if not row.id.endswith("/duplicate")]
     checked = {start for id in checks for start in _ancestors(id)}
-    rows += [row_about(numbers[id], why_unchecked(id)) for id in numbers.keys() - checked]
+    for id in numbers.keys() - checked:
+        verdict = "differs" if id in conflicts else "not checkable"
+        rows.append(row_about(numbers[id], conflicts.get(id) or why_unchecked(id), verdict))
     differ = {row.id for row in rows if row.verdict == "differs"}
     order = {id: i for i, id in enumerate(numbers)}
 

@@ -9,13 +9,9 @@ from functools import cache
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean, shown
+from trustlab.models.published import printed_pilot, published_folder
 from trustlab.reproduction.printed import half_unit, printed_interval
-from trustlab.reproduction.published import (
-    printed_pilot,
-    published_facts,
-    published_folder,
-    published_table,
-)
+from trustlab.reproduction.published import published_facts, published_table
 from trustlab.reproduction.published_study import published_studies
 
 PARTICIPANTS = ("1", "2", "3", "4", "5")

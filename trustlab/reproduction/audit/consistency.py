@@ -1,14 +1,16 @@
 """
-Whether several printed numbers can go together: means, whole points and sample sizes; tests that
-were copied; numbers that are printed twice. `feasibility` has the statistics of a study.
+Whether several printed numbers can go together: the statistics of a study; means, whole points and
+sample sizes; numbers that are printed twice.
 """
 
 import math
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction
 from statistics import mode
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -17,7 +19,9 @@ from trustlab.reproduction.audit.catalogue import PrintedNumber
 from trustlab.reproduction.audit.check import Numbers, Row, listing, row_about
 from trustlab.reproduction.printed import ROUNDINGS
 from trustlab.reproduction.published import published_facts
-from trustlab.reproduction.published_study import published_studies
+from trustlab.reproduction.published_study import PRINTED, published_studies
+from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS
+from trustlab.reproduction.reconstruction.contradictions import contradictions
 
 MEASURES = published_facts("measures")
 TLX_RULES = {rule: Fraction(points) for rule, points in MEASURES["tlx_rules"].items()}
@@ -30,6 +34,25 @@ PEOPLE = {
     "table_2.4": "section_2_4_1_1/participants",
     "table_3.1": "section_3_8_2_1/participants",
 }
+
+
+def study_conflicts(numbers: Numbers) -> dict[str, str]:
+    """Return numbers of studies that others contradict however p was adjusted, with the reason."""
+    conflicts = {}
+    for name, study in published_studies().items():
+        fields: dict[str, Any] = {
+            key: {part: numbers[f"{name}/{key}.{part}"].printed for part in getattr(study, key)}
+            for key in PRINTED
+        }
+        fields["epsilon"] = study.epsilon and numbers[f"{name}/epsilon"].printed
+        printed = replace(study, n=int(numbers[f"{name}/n"].value), **fields)
+        first, *rest = (contradictions(printed, p_adjust) for p_adjust in ADJUSTMENTS)
+        conflicts |= {
+            f"{name}/{statistic}": f"Impossible: {reason}."
+            for statistic, reason in first.items()
+            if all(statistic in other for other in rest)
+        }
+    return conflicts
 
 
 def is_attainable(number: PrintedNumber, units: Fraction) -> bool:
@@ -103,11 +126,14 @@ def _ratings(
     return [*rows, items]
 
 
-def remarks(numbers: Numbers) -> Iterator[Row]:
-    """Return remarks on bounds of p that are unlike all others, and on copied tests."""
+def remarks(numbers: Numbers, conflicts: Mapping[str, str]) -> Iterator[Row]:
+    """
+    Return remarks on bounds of p that are unlike all others, unless they conflict, and on copied
+    tests.
+    """
     limits = {id: x.printed for id, x in numbers.items() if "/pairs." in id and x.is_bound}
-    for id, limit in limits.items():
-        if limit != mode(limits.values()):
+    for id in limits.keys() - conflicts.keys():
+        if limits[id] != mode(limits.values()):
             remark = "most of its kind have another bound; probably a zero is missing."
             yield row_about(numbers[id], f"Suspicious: {remark}")
     tests: dict[tuple[str, str], str] = {}  # the first study that has such χ² and p
