@@ -38,7 +38,7 @@ COLUMNS = ["id", "where", "measure", "contrast", "printed", "low", "high", "p"]
 @cache
 def _effects() -> pd.DataFrame:
     """Return all effects that data/published/effects.toml lists, with their study and testbed."""
-    rows = []
+    rows: list[tuple] = []
     for study, where, measure, contrasts, means, tests in _compared_means():
         for contrast in contrasts:
             after, before = contrast.split("-")
@@ -49,8 +49,8 @@ def _effects() -> pd.DataFrame:
             rows.append((study, where, measure, contrast, *ends, study))
     for claim in published_facts("effects")["claims"]:
         about = claim["where"], claim["measure"], claim["contrast"]
-        ends = sorted((0.0, claim["sign"] * math.inf))
-        rows.append((claim["id"], *about, math.nan, *ends, math.nan, claim["study"]))
+        half_line = sorted((0.0, claim["sign"] * math.inf))
+        rows.append((claim["id"], *about, math.nan, *half_line, math.nan, claim["study"]))
     listed = pd.DataFrame(rows, columns=[*COLUMNS, "study"])
     listed["id"] += "/" + listed["measure"] + "/" + listed["contrast"]
     return listed.assign(place=listed["study"].replace(ALLOCATION))

@@ -190,6 +190,29 @@ def lower_limit(v: Any) -> np.ndarray:
     return limits(v, robot_gain(v))[0]
 
 
+def square(section: str, group: str, orders: int) -> Follows:
+    """Return that participants fill whole squares of so many orders."""
+    return Follows(
+        f"{section}/square",
+        f"participants modulo {orders}",
+        lambda v: v.participants % orders,
+        beside=group,
+        target=(0.0, 0.0),
+        note=f"A square balanced for order and carry-over has {orders} orders; those dropped "
+        "break the balance.",
+    )
+
+
+def ranked(i: int, measure: str, sign: int) -> Follows:
+    """Return that a scheme of Table 3.1 has its rank among all, 1 for the best."""
+    return Follows(
+        f"section_3_8_3/{SCHEMES[i]}_{measure}",
+        f"rank of {SCHEMES[i]}, the best first",
+        lambda v: 1.0 + (sign * v.x > sign * v.x[i]).sum(axis=0),
+        ids={"x": f"table_3.1/*/{measure}_mean"},
+    )
+
+
 def within_limits(of: str, binding: str, beside: str = "") -> Allows:
     """Return that thresholds lie between the limits by (2.9) and (2.10), which need not be so."""
     return Allows(
@@ -218,6 +241,7 @@ LOWER = Follows(
     explanations=(USED,),
 )
 
+SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
 # Measures of Table 3.1, and 1 where more is better.
 RANKED = (("error", -1), ("tlx", -1), ("trust", 1), ("preference", 1))
 
@@ -499,21 +523,8 @@ RELATIONS: tuple[Follows | Allows, ...] = (
         analysed,
         beside="section_3_9_2",
     ),
-    *(
-        Follows(
-            f"{section}/square",
-            f"participants modulo {orders}",
-            lambda v, orders=orders: v.participants % orders,
-            beside=group,
-            target=(0.0, 0.0),
-            note=f"A square balanced for order and carry-over has {orders} orders; those dropped "
-            "break the balance.",
-        )
-        for section, group, orders in (
-            ("section_2_4_2_2", "section_2_4_2_2", 10),
-            ("section_3_9_3", "section_3_9_2", 4),
-        )
-    ),
+    square("section_2_4_2_2", "section_2_4_2_2", 10),
+    square("section_3_9_3", "section_3_9_2", 4),
     # (3.10) at rest, of a handle of 50 g: no handle of a haptic device is so light.
     Allows(
         "section_3_*/B",
@@ -564,16 +575,7 @@ RELATIONS: tuple[Follows | Allows, ...] = (
         "alone is unstable.",
     ),
     # Ranks in Table 3.1.
-    *(
-        Follows(
-            f"section_3_8_3/{scheme}_{measure}",
-            f"rank of {scheme}, the best first",
-            lambda v, i=i, sign=sign: 1.0 + (sign * v.x > sign * v.x[i]).sum(axis=0),
-            ids={"x": f"table_3.1/*/{measure}_mean"},
-        )
-        for i, scheme in enumerate(("M", "MI", "MMI", "TMIG", "TMIS"))
-        for measure, sign in RANKED
-    ),
+    *(ranked(i, measure, sign) for i in range(len(SCHEMES)) for measure, sign in RANKED),
 )
 
 RELATIVE = Formula(CHANGE, change, "relative change")
