@@ -27,7 +27,7 @@ from scipy import special
 from scipy.spatial import KDTree
 
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import finite_array, in_order, of_class, one_of, shown, whole_number
+from trustlab.models.checks import in_order, of_class, one_of, shown, whole_number
 from trustlab.models.display import Result
 from trustlab.models.files import write_atomically
 from trustlab.operators.ground_robot import checked_assumptions
@@ -425,8 +425,9 @@ def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple
         )
     ranges = {}
     for name, pair in priors.items():
-        low, high = finite_array(f"the prior of {name}", pair, length=2)
-        ranges[name] = in_order(f"the low end of {name}", low, "its high end", high)
+        if np.shape(pair) != (2,):
+            raise ValueError(f"the prior of {name} must be two numbers, got {shown(pair)}")
+        ranges[name] = in_order(f"the low end of {name}", pair[0], "its high end", pair[1])
         for end in ranges[name]:
             checked_assumptions({name: end}, EVERY_ASSUMPTION)
     return ranges
@@ -492,4 +493,4 @@ def posterior_sample(
 
 def observed_effects(study: str) -> pd.DataFrame:
     """Return the effects of a study whose size is printed."""
-    return effects_of(study, "study").dropna(subset="printed")
+    return effects_of(study, "study").dropna(subset="printed").drop(columns="place")

@@ -41,11 +41,11 @@ def compare(
     --------
     >>> import trustlab as tl
     >>> tl.compare({"a_pr": 0.99598, "beta": 0.74}, {"a_pr": "0.996", "beta": "0.74"}).T
-    quantity               a_pr        beta
-    ours                0.99598        0.74
-    stderr                  NaN         NaN
-    printed               0.996        0.74
-    verdict          reproduced  reproduced
+    quantity        a_pr        beta
+    ours         0.99598        0.74
+    stderr           NaN         NaN
+    printed        0.996        0.74
+    verdict   reproduced  reproduced
     """
     if set(values) != set(printed):
         only = sorted(set(values) ^ set(printed))
