@@ -481,10 +481,10 @@ def simulated_people(name: str) -> tl.trust.Panel:
 def scored(panel: tl.trust.Panel, criterion: str, models=None) -> pd.DataFrame:
     """Return the scores of models on people left out, with paired differences from (3.2)."""
     result = tl.compare_trust_models(panel, models, criterion=criterion, seed=SEED)
-    scores = result.scores.melt(["model", "person"], var_name="measure", value_name="mean")
-    means = scores.groupby(["model", "measure"])["mean"].mean().reset_index()
+    scores = result.scores.melt(["split", "model", "person"], var_name="measure", value_name="mean")
+    means = scores.groupby(["split", "model", "measure"])["mean"].mean().reset_index()
     pairs = result.paired().rename(columns={"people": "n"})
-    return means.merge(pairs, on=["model", "measure"], how="left")
+    return means.merge(pairs, on=["split", "model", "measure"], how="left")
 
 
 # OPTIMo takes longer than all others together.
@@ -497,8 +497,8 @@ def trust_scores() -> pd.DataFrame:
     for name in RATED:
         for criterion in ("step", "free"):
             tables[name, criterion] = scored(tl.read_people(name), criterion)
-    name = "trust_transfer"
-    tables[name, "step"] = scored(tl.read_people(name), "step", QUICK)
+    for name in ("trust_transfer", "btm"):
+        tables[name, "step"] = scored(tl.read_people(name), "step", QUICK)
     for name in FOLLOWED:
         tables[f"simulated: {name}", "free"] = scored(simulated_people(name), "free", QUICK)
     return pd.concat(tables, names=["people", "criterion"]).reset_index(["people", "criterion"])

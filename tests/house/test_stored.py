@@ -205,12 +205,12 @@ def test_recording():
 def test_trust_scores():
     own = stored("trust_scores").query("people == 'hybrid_vr' and criterion == 'step'")
     again = make.scored(tl.read_people("hybrid_vr"), "step", ["performance", "series"])
-    both = again.merge(own, on=["model", "measure"], suffixes=("", "_stored"))
-    assert len(both) == 8
+    both = again.merge(own, on=["split", "model", "measure"], suffixes=("", "_stored"))
+    assert len(both) == 20
     # Optimisers leave digits open.
     np.testing.assert_allclose(both["mean"], both["mean_stored"], rtol=2e-3)
     np.testing.assert_allclose(both["difference"], both["difference_stored"], rtol=0.2, atol=1e-5)
-    names = {"hybrid_vr", "hybrid_real", "trust_transfer"}
+    names = {"hybrid_vr", "hybrid_real", "trust_transfer", "btm"}
     assert names < set(stored("trust_scores")["people"])
 
 

@@ -10,9 +10,10 @@ from scipy import stats
 import trustlab as tl
 from trustlab.trust.comparison import recover_trust_models
 from trustlab.trust.dynamics import MODELS
-from trustlab.trust.likelihood import simulate_ratings
+from trustlab.trust.likelihood import predict, simulate_ratings
+from trustlab.trust.panel import panel_until
 
-FAST = ["performance", "asymmetric", "persistence"]
+FAST = ["performance", "asymmetric", "persistence", "habit"]
 
 
 @pytest.fixture(scope="module")
@@ -21,18 +22,37 @@ def compared():
 
 
 def test_pairs_are_paired(compared):
-    wide = compared.scores.pivot_table("free_error", "person", "model")
+    scores = compared.scores[compared.scores["split"] == "people"]
+    wide = scores.pivot_table("free_error", "person", "model")
     test = stats.ttest_rel(wide["asymmetric"], wide["performance"])
-    row = compared.paired().query("measure == 'free_error' and model == 'asymmetric'")
+    row = compared.paired().query(
+        "split == 'people' and measure == 'free_error' and model == 'asymmetric'"
+    )
     interval = test.confidence_interval(0.95)
     assert row["difference"].item() / row["se"].item() == pytest.approx(test.statistic)
     assert row[["ci_low", "ci_high"]].to_numpy()[0] == pytest.approx([interval.low, interval.high])
     back = compared.paired(against="asymmetric").query(
-        "measure == 'free_error' and model == 'performance'"
+        "split == 'people' and measure == 'free_error' and model == 'performance'"
     )
     assert back["difference"].item() == pytest.approx(-row["difference"].item())
     with pytest.raises(ValueError, match="did you mean 'performance'"):
         compared.paired(against="perfomance")
+
+
+def test_last_third_is_not_fitted_and_predicted_freely(compared):
+    """Changing ratings of the last third changes no fit, and a free run uses none of them."""
+    panel = tl.read_people("hybrid_vr")
+    ratings = panel.ratings.copy()
+    ratings[:, 8:] = 0.5
+    changed = replace(panel, ratings=ratings)
+    fit = tl.trust.fitting.fitted(panel_until(panel, 7), MODELS["performance"])
+    again = tl.trust.fitting.fitted(panel_until(changed, 7), MODELS["performance"])
+    np.testing.assert_array_equal(fit.coordinates, again.coordinates)
+    free = [predict(fit.model, p, free=True, known=7).mean for p in (panel, changed)]
+    np.testing.assert_array_equal(free[0], free[1])
+    scores = compared.scores.query("split == 'last third' and model == 'performance'")
+    expected = np.square(free[0] - panel.ratings[:, 1:])[:, 7:].mean(axis=1)
+    np.testing.assert_allclose(scores["free_error"], expected, atol=2e-4)
 
 
 def test_coverage_of_the_true_model_is_nominal():
@@ -40,7 +60,7 @@ def test_coverage_of_the_true_model_is_nominal():
     truth = MODELS["performance"](a=0.2, gain=0.8, process_sd=0.05, rating_sd=0.05)
     drawn = simulate_ratings(truth, panel, np.random.default_rng(0))
     table = tl.compare_trust_models(drawn, ["performance", "constant"], folds=2).table()
-    row = table.query("model == 'performance'")
+    row = table.query("split == 'people' and model == 'performance'")
     assert row["coverage"].item() == pytest.approx(0.9, abs=0.04)
 
 
@@ -92,8 +112,16 @@ def rated(*rows):
     return tl.read_people(table, {"resolution": 0.1})
 
 
+def test_pairs_of_a_split_that_few_people_are_rated_in_are_left_out():
+    """A third of three events is one: one person rated it, or nobody."""
+    for last in (0.5, np.nan):
+        panel = rated(*([0.5, 0.6, 0.4 + 0.1 * k, np.nan] for k in range(3)), [0.4, 0.5, 0.7, last])
+        result = tl.compare_trust_models(panel, ["persistence", "constant"], folds=2)
+        assert result.paired()["split"].unique().tolist() == ["people"]
+
+
 def test_one_model_has_no_pairs():
     panel = rated([0.5, 0.6, 0.4, 0.5], [0.4, 0.5, 0.7, 0.6])
     pairs = tl.compare_trust_models(panel, ["constant"], folds=2).paired()
     assert pairs.empty
-    assert {"measure", "model", "ci_high", "people"} < set(pairs)
+    assert {"split", "measure", "model", "ci_high", "people"} < set(pairs)

@@ -15,6 +15,7 @@ from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.interface import coordinates_of, with_parameters
 from trustlab.trust.likelihood import log_likelihood
 
+RNG = np.random.default_rng(0)
 SUCCESS = np.array([1, 0, 1, 1, 0, 0, 1, 0, 1, 1], dtype=float)
 LINEAR = ["performance", "series", "decision_field", "asymmetric", "memory_bias"]
 
@@ -54,15 +55,22 @@ def test_performance_is_the_dissertations_model():
 
 def test_decision_field_by_hand():
     mode = np.array([0, 0, 1, 1, 0, 1, 0, 0, 1, 0.0])
+    p_h = RNG.random(10)
     model = MODELS["decision_field"](learning=0.4, forgetting=0.1, inertia=0.3)
     belief = model.start(np.array([0.6]))
     robot = trust = 0.6
+    person = confidence = 0.5
+    wish = 0.1
     for k in range(10):
-        event = {"seen": 1.0 - mode[k], "p_r": SUCCESS[k]}
+        event = {"mode": mode[k], "p_h": p_h[k], "seen": 1.0 - mode[k], "p_r": SUCCESS[k]}
         belief = model.step(belief, tl.trust.Event(**{n: np.array([v]) for n, v in event.items()}))
         robot += 0.1 * (0.6 - robot) if mode[k] else 0.4 * (SUCCESS[k] - robot)
+        person += 0.4 * (p_h[k] - person) if mode[k] else 0.1 * (0.5 - person)
         trust += 0.3 * (robot - trust)
+        confidence += 0.3 * (person - confidence)
+        wish += 0.3 * (trust - confidence - wish)
         assert float(model.rating(belief).mean[0]) == pytest.approx(trust, abs=1e-13)
+        assert float(model.preference(belief)[0]) == pytest.approx(wish, abs=1e-13)
 
 
 def test_beta_counts_successes():
@@ -198,6 +206,7 @@ def test_one_person_on_line_is_a_row_of_the_panel(name):
     expected = tl.trust.predict(model, people)
     belief = model.start(people.ratings[1, :1])
     for k in range(10):
+        assert model.preference(belief) == pytest.approx(expected.preference[1, k], abs=1e-12)
         signals = (float(signal[1, k]) for signal in people.events)
         belief = model.step(belief, tl.trust.Event(*(np.array([value]) for value in signals)))
         assert model.rating(belief).mean[0] == pytest.approx(expected.mean[1, k], abs=1e-12)
@@ -213,6 +222,11 @@ def test_baselines_are_what_they_say():
     np.testing.assert_allclose(
         tl.trust.predict(persistent, people).mean, people.ratings[:, :-1], atol=1e-5
     )
+    followed = np.array([[1.0, 1.0, np.nan, 0.0]] * 2)
+    events = people.events._replace(**{n: v[:2, :4] for n, v in people.events._asdict().items()})
+    habit = tl.trust.Panel((1, 2), events._replace(followed=followed), people.ratings[:2, :5], 0.01)
+    odds = tl.trust.predict(BASELINES["habit"](), habit).preference[0]
+    np.testing.assert_allclose(np.exp(odds), [1.0, 2.0, 3.0, 3.0])
 
 
 TRUTH = {

@@ -48,6 +48,7 @@ DIGESTS = {
     "hybrid_real": "19a50834eaed4553",
     "hybrid_vr": "57d9add2e9290609",
     "trust_transfer": "fadb8d79d62c5b5a",
+    "btm": "787eca1ffaecf4ed",
 }
 
 
@@ -60,6 +61,11 @@ def test_files_are_those_published():
 def test_other_sets():
     transfer = tl.read_people("trust_transfer")
     assert (len(transfer), transfer.trials) == (96, 1)
+    capabilities = tl.read_people("btm")
+    assert np.isfinite(capabilities.ratings[:, 1:]).sum() == 852
+    assert np.isfinite(capabilities.events.dt).sum(axis=0).tolist() == [852, 568, 284]
+    assert set(np.unique(capabilities.ratings[:, 1:] * 6).round(9)[:7]) == set(range(7))
+    assert np.isfinite(tl.fit_trust(capabilities, "performance").log_likelihood)
 
 
 def test_each_set_has_its_licence_and_source():
@@ -148,10 +154,3 @@ def test_rows_without_a_name_are_one_persons():
     assert len(panel) == len(panel.ratings) == 2
     assert panel.people[1] == "b"
     np.testing.assert_array_equal(panel.ratings[1], [0.8, 0.9])
-
-
-def test_a_recipe_may_name_another_column_beside_one_of_the_signals_name():
-    """The ratings are the answers, not what the table calls ratings."""
-    table = pd.DataFrame({"person": "a", "trial": [0, 1], "rating": 9.0, "answer": [0.1, 0.2]})
-    panel = tl.read_people(table.assign(p_r=1.0), {"columns": {"rating": "answer"}})
-    np.testing.assert_array_equal(panel.ratings, [[0.1, 0.2]])

@@ -1,11 +1,42 @@
-"""Computed numbers beside printed ones."""
+"""Computed numbers beside printed ones, digit by digit."""
 
 from collections.abc import Mapping
+from decimal import Decimal
 
 import numpy as np
 import pandas as pd
 
-from trustlab.reproduction.printed import half_unit, printed_decimal, rounds_to
+from trustlab.reproduction.printed import ROUNDINGS, half_unit, printed_decimal, rounds_to
+
+
+def matching_digits(value: float, printed: str) -> int:
+    """
+    Return how many significant digits of a printed number ours has, counted from the first.
+
+    Parameters
+    ----------
+    value : float
+        The value found here.
+    printed : str
+        The number as printed, trailing zeros kept; it cannot match in more digits than it has.
+
+    Returns
+    -------
+    int
+        The largest d up to the number of printed digits for which both round to the same d
+        significant digits.
+    """
+    target = printed_decimal(printed)
+    if not np.isfinite(value):
+        return 0
+    exact = Decimal(float(value))
+    if target == 0:
+        return int(rounds_to(value, target))
+    for digits in range(len(target.as_tuple().digits), 0, -1):
+        unit = Decimal(1).scaleb(target.adjusted() - digits + 1)
+        if any(exact.quantize(unit, rule) == target.quantize(unit, rule) for rule in ROUNDINGS):
+            return digits
+    return 0
 
 
 def compare(
@@ -28,9 +59,9 @@ def compare(
     Returns
     -------
     pandas.DataFrame
-        Index `quantity`; columns ours, stderr, printed, verdict: "reproduced" when ours rounds to
-        the printed number, "within 2 s.e." when half a unit of its last digit and twice the
-        standard error cover the difference, else "differs".
+        Index `quantity`; columns ours, stderr, printed, matching_digits, printed_digits, verdict:
+        "reproduced" when ours rounds to the printed number, "within 2 s.e." when half a unit of its
+        last digit and twice the standard error cover the difference, else "differs".
 
     Raises
     ------
@@ -41,11 +72,13 @@ def compare(
     --------
     >>> import trustlab as tl
     >>> tl.compare({"a_pr": 0.99598, "beta": 0.74}, {"a_pr": "0.996", "beta": "0.74"}).T
-    quantity        a_pr        beta
-    ours         0.99598        0.74
-    stderr           NaN         NaN
-    printed        0.996        0.74
-    verdict   reproduced  reproduced
+    quantity               a_pr        beta
+    ours                0.99598        0.74
+    stderr                  NaN         NaN
+    printed               0.996        0.74
+    matching_digits           3           2
+    printed_digits            3           2
+    verdict          reproduced  reproduced
     """
     if set(values) != set(printed):
         only = sorted(set(values) ^ set(printed))
@@ -63,6 +96,8 @@ def compare(
             verdict = "reproduced"
         elif abs(float(value) - float(target)) <= half_unit(text) + 2.0 * error < np.inf:
             verdict = "within 2 s.e."
-        rows.append((name, float(value), error, text, verdict))
-    columns = ["quantity", "ours", "stderr", "printed", "verdict"]
+        counts = matching_digits(value, text), len(target.as_tuple().digits)
+        rows.append((name, float(value), error, text, *counts, verdict))
+    counted = "matching_digits", "printed_digits"
+    columns = ["quantity", "ours", "stderr", "printed", *counted, "verdict"]
     return pd.DataFrame(rows, columns=columns).set_index("quantity")

@@ -6,9 +6,23 @@ from functools import cache
 import pandas as pd
 
 from trustlab.models.checks import one_of
-from trustlab.models.published import published_folder, published_models, published_table
+from trustlab.models.published import (
+    ByName,
+    printed_pilot,
+    published_folder,
+    published_models,
+    published_table,
+)
 
-__all__ = ["published_facts", "published_models", "published_table", "verdicts"]
+__all__ = [
+    "ByName",
+    "printed_pilot",
+    "published_facts",
+    "published_folder",
+    "published_models",
+    "published_table",
+    "verdicts",
+]
 
 
 @cache

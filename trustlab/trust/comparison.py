@@ -14,23 +14,23 @@ from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.fitting import CRITERIA, TrustFit, fitted, model_class
 from trustlab.trust.interface import TrustDynamics
 from trustlab.trust.likelihood import cell, predict, simulate_ratings
-from trustlab.trust.panel import Panel
+from trustlab.trust.panel import Panel, panel_until
 
-# Of every person: squared errors, less is better; log score in nats a rating, more is better;
-# ratings within the 90 % interval.
-MEASURES = ("free_error", "step_error", "log_score", "coverage")
+# Of every person: squared errors, less is better; log score in nats a rating, more is better; log
+# loss of reliance in nats a decision, less is better; ratings within the 90 % interval.
+MEASURES = ("free_error", "step_error", "log_score", "reliance_loss", "coverage")
 Models = Sequence | Mapping | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrustComparison(Result):
     """
-    Scores of models of trust on people that they were not fitted to.
+    Scores of models of trust on ratings that they were not fitted to.
 
     Parameters
     ----------
     scores : pandas.DataFrame
-        A row per model and person: model, person and the measures.
+        A row per split, model and person: split, model, person and the measures.
     against : str
         The model that others are compared with.
     source : str
@@ -61,10 +61,10 @@ class TrustComparison(Result):
         Returns
         -------
         pandas.DataFrame
-            Columns model, free_rmse and step_rmse (from no rating but the first, or from all
-            so far), log_score, coverage (of 90 % intervals).
+            Columns split, model, free_rmse and step_rmse (from no rating but the first, or from all
+            so far), log_score, reliance_loss, coverage (of 90 % intervals).
         """
-        means = self.scores.groupby("model", sort=False)[list(MEASURES)].mean()
+        means = self.scores.groupby(["split", "model"], sort=False)[list(MEASURES)].mean()
         errors = list(MEASURES[:2])
         means[errors] = np.sqrt(means[errors])
         return means.reset_index().rename(columns=lambda name: name.replace("error", "rmse"))
@@ -81,16 +81,17 @@ class TrustComparison(Result):
         Returns
         -------
         pandas.DataFrame
-            Columns measure, model, difference (of squared errors, not of their roots), se,
+            Columns split, measure, model, difference (of squared errors, not of their roots), se,
             ci_low, ci_high (Student's t over people), people.
         """
         reference = one_of("against", against or self.against, self.scores["model"].unique())
-        long = self.scores.melt(["person", "model"], MEASURES[:3], "measure", "score")
-        wide = long.pivot_table("score", ["measure", "person"], "model", sort=False)
+        long = self.scores.melt(["split", "person", "model"], MEASURES[:4], "measure", "score")
+        wide = long.pivot_table("score", ["split", "measure", "person"], "model", sort=False)
         apart = wide.drop(columns=reference).sub(wide[reference], axis=0)
         values = apart.stack()  # noqa: PD013 (melting would lose the order)
-        table = values.groupby(["measure", "model"], sort=False)
+        table = values.groupby(["split", "measure", "model"], sort=False)
         table = table.agg(difference="mean", se="sem", people="count").query("people > 1")
+        table = table.reindex(self.scores["split"].unique(), level="split")
         half = special.stdtrit(table["people"] - 1, 0.975) * table["se"]
         table.insert(2, "ci_low", table["difference"] - half)
         table.insert(3, "ci_high", table["difference"] + half)
@@ -116,7 +117,7 @@ def compare_trust_models(
     seed: int = 0,
 ) -> TrustComparison:
     """
-    Score models of trust on people left out.
+    Score models of trust on people left out, and on the last third of every person.
 
     Parameters
     ----------
@@ -152,46 +153,56 @@ def compare_trust_models(
     >>> import trustlab as tl
     >>> result = tl.compare_trust_models(tl.read_people("hybrid_vr"), ["beta", "persistence"])
     >>> result.table().shape
-    (2, 5)
+    (4, 7)
     """
     of_class("panel", panel, Panel, "tl.read_people(…) reads one")
     chosen = named_models(models)
     if against not in chosen and against == "performance":
         against = next(iter(chosen))
     one_of("against", against, list(chosen))
-    one_of("criterion", criterion, CRITERIA)
+    free = one_of("criterion", criterion, CRITERIA) == "free"
     folds = whole_number("folds", folds, least=2)
     if len(panel) < folds:
         raise ValueError(f"{folds} folds need as many people, got {len(panel)}; folds={len(panel)}")
     order = np.random.default_rng(spawned(seed, 1)[0]).permutation(len(panel))
+    groups = np.array_split(order, folds)
+    later = panel.trials - panel.trials // 3
+    # What is fitted, what is scored, and after which event.
+    splits = [
+        ("people", panel.of(np.setdiff1d(order, group)), panel.of(group), 0) for group in groups
+    ]
+    splits += (
+        [("last third", panel_until(panel, later), panel, later)] if later < panel.trials else []
+    )
     # Where all people are fitted best is a good place to start from, and nothing more.
-    starts = {name: fitted(panel, model, criterion).coordinates for name, model in chosen.items()}
+    starts = {name: fitted(panel, model, free=free).coordinates for name, model in chosen.items()}
     tables = []
-    for group in np.array_split(order, folds):
-        seen, unseen = panel.of(np.setdiff1d(order, group)), panel.of(group)
+    for split, seen, unseen, since in splits:
         for name, model in chosen.items():
-            fit = fitted(seen, model, criterion, starts[name])
-            tables.append(_scores(fit, unseen).assign(model=name))
-    scores = pd.concat(tables, ignore_index=True)[["model", "person", *MEASURES]]
+            fit = fitted(seen, model, free=free, start=starts[name])
+            tables.append(_scores(fit, unseen, since).assign(split=split, model=name))
+    scores = pd.concat(tables, ignore_index=True)[["split", "model", "person", *MEASURES]]
     return TrustComparison(scores, against, panel.source, panel.cautions)
 
 
-def _scores(fit: TrustFit, panel: Panel) -> pd.DataFrame:
-    """Return every person's measures."""
+def _scores(fit: TrustFit, panel: Panel, since: int) -> pd.DataFrame:
+    """Return every person's measures on the events from one on."""
     actual = panel.ratings[:, 1:]
     steps = predict(fit.model, panel)
-    free = predict(fit.model, panel, free=True)
+    free = predict(fit.model, panel, free=True, known=since)
     inside = [
         _in_central_interval(rating, actual[:, k], panel.resolution)
         for k, rating in enumerate(steps.distributions)
     ]
+    odds = fit.link.bias + fit.link.slope * steps.preference
     values = {
         "free_error": np.square(free.mean - actual),
         "step_error": np.square(steps.mean - actual),
         "log_score": np.log(steps.probability(panel)),
+        "reliance_loss": -special.log_expit(-odds) - panel.events.followed * odds,
         "coverage": np.where(np.isnan(actual), np.nan, np.transpose(inside)),
     }
-    means = {name: pd.DataFrame(value).mean(axis=1) for name, value in values.items()}
+    means = {name: pd.DataFrame(value[:, since:]).mean(axis=1) for name, value in values.items()}
     return pd.DataFrame({"person": panel.people} | means)
 
 

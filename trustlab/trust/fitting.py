@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,7 @@ from trustlab.models.checks import of_class, one_of
 from trustlab.models.display import Result
 from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.interface import TrustDynamics, coordinates_of, values_at, with_parameters
-from trustlab.trust.likelihood import log_likelihood
+from trustlab.trust.likelihood import log_likelihood, predict
 from trustlab.trust.panel import Panel
 
 # The loss at each row of coordinates, shape (rows, parameters).
@@ -39,6 +40,13 @@ BEST = 2
 ALIKE = 1e-3
 
 
+class Link(NamedTuple):
+    """Log odds of reliance: bias + slope · preference."""
+
+    bias: float
+    slope: float
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class TrustFit(Result):
     """
@@ -56,6 +64,8 @@ class TrustFit(Result):
         Those of the model, without bounds.
     log_likelihood : float
         Of the ratings after the first.
+    link : Link
+        Of reliance on the model's preference, fitted afterwards; NaN where nobody could rely.
     ratings : int
         Ratings fitted.
     """
@@ -65,6 +75,7 @@ class TrustFit(Result):
     criterion: str
     coordinates: np.ndarray
     log_likelihood: float
+    link: Link
     ratings: int
 
     @property
@@ -83,7 +94,7 @@ class TrustFit(Result):
         """
         if self.criterion == "free" or not self.coordinates.size:
             return np.full((2, self.coordinates.size), np.nan)
-        return profile_ends(_loss(self.panel, type(self.model), self.criterion), self.coordinates)
+        return profile_ends(_loss(self.panel, type(self.model)), self.coordinates)
 
     @property
     def title(self) -> str:
@@ -106,14 +117,14 @@ class TrustFit(Result):
             that of the parameter's range; where both are, there is no interval, and the note says
             so: such an estimate may differ between processors, and the likelihood does not.
         """
-        rows = values_at(type(self.model), np.array([self.coordinates, *self.ends]))
-        table = pd.DataFrame(rows.T, columns=["estimate", "ci_low", "ci_high"])
-        table.insert(0, "parameter", list(self.model.parameters()))
+        names, rows = list(self.model.parameters()), [self.coordinates, *self.ends]
+        table = pd.DataFrame(values_at(type(self.model), np.array(rows)).T)
+        table = table.set_axis(["estimate", "ci_low", "ci_high"], axis=1)
+        table.insert(0, "parameter", names)
         without = ~np.isfinite(self.ends).any(axis=0)
         table.loc[without, ["ci_low", "ci_high"]] = np.nan
-        reason = "the data leave it open"
-        if self.criterion == "free":
-            reason = "free runs have no likelihood"
+        is_open = self.criterion == "step"
+        reason = "the data leave it open" if is_open else "free runs have no likelihood"
         return table.assign(note=np.where(without, reason, ""))
 
 
@@ -155,7 +166,8 @@ def fit_trust(
 
     Notes
     -----
-    All people share their parameters.
+    All people share their parameters. Reliance is fitted after trust, so that it does not change
+    what the ratings say.
 
     Examples
     --------
@@ -165,31 +177,41 @@ def fit_trust(
     True
     """
     of_class("panel", panel, Panel, "tl.read_people(…) reads one")
-    return fitted(panel, model_class(model), one_of("criterion", criterion, CRITERIA))
+    one_of("criterion", criterion, CRITERIA)
+    return fitted(panel, model_class(model), free=criterion == "free")
 
 
 def fitted(
     panel: Panel,
     chosen: type[TrustDynamics],
-    criterion: str = "step",
+    *,
+    free: bool = False,
     start: np.ndarray | None = None,
 ) -> TrustFit:
     """Return a fit to a panel, searched from coordinates `start` where they are known."""
     ratings = int(np.isfinite(panel.ratings[:, 1:]).sum())
     if not ratings:
         raise ValueError("the panel has no rating after an event: nothing can be fitted")
-    loss = _loss(panel, chosen, criterion)
-    starts = _starts(loss, chosen, panel, criterion) if start is None else [start]
+    loss = _loss(panel, chosen, free)
+    starts = _starts(loss, chosen, panel, free) if start is None else [start]
     optima = [optimum(loss, each) for each in starts]
     best = min(each.fun for each in optima)
     # The first that is as good as the best: last bits do not decide.
     found = next(each for each in optima if each.fun <= best + ALIKE)
     values = values_at(chosen, found.x).tolist()
     model = chosen(**dict(zip(chosen.parameters(), values, strict=True)))
-    return TrustFit(model, panel, criterion, found.x, -float(found.fun), ratings)
+    return TrustFit(
+        model=model,
+        panel=panel,
+        criterion="free" if free else "step",
+        coordinates=found.x,
+        log_likelihood=-float(found.fun),
+        link=reliance_link(model, panel),
+        ratings=ratings,
+    )
 
 
-def _loss(panel: Panel, chosen: type[TrustDynamics], criterion: str) -> Loss:
+def _loss(panel: Panel, chosen: type[TrustDynamics], free: bool = False) -> Loss:
     """Return minus the log-likelihood of all people's ratings as a function of coordinates."""
     people = len(panel)
 
@@ -197,15 +219,12 @@ def _loss(panel: Panel, chosen: type[TrustDynamics], criterion: str) -> Loss:
         # Everybody under the first coordinates, then everybody under the second …
         everybody = panel.of(np.tile(np.arange(people), len(x)))
         model = with_parameters(chosen, np.repeat(x, people, axis=0))
-        logs = log_likelihood(model, everybody, criterion == "free")
-        return -logs.reshape(len(x), people).sum(axis=1)
+        return -log_likelihood(model, everybody, free).reshape(len(x), people).sum(axis=1)
 
     return loss
 
 
-def _starts(
-    loss: Loss, chosen: type[TrustDynamics], panel: Panel, criterion: str
-) -> list[np.ndarray]:
+def _starts(loss: Loss, chosen: type[TrustDynamics], panel: Panel, free: bool) -> list[np.ndarray]:
     """
     Return where searches begin: at the defaults, at the best of points drawn about them, and where
     the model is (3.2) as fitted, if it contains (3.2).
@@ -214,7 +233,7 @@ def _starts(
     drawn = first + 2.0 * np.random.default_rng(0).standard_normal((DRAWN, first.size))
     starts = [first, *drawn[np.argsort(loss(drawn), kind="stable")[:BEST]]]
     if chosen.as_performance:
-        simple = fitted(panel, MODELS["performance"], criterion).model
+        simple = fitted(panel, MODELS["performance"], free=free).model
         starts.append(coordinates_of(chosen.as_performance(**vars(simple))))
     return starts
 
@@ -267,9 +286,11 @@ def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
         value, slope = value_and_slope(along, np.array(z))
         return least + FALL - value, -slope
 
+    both = np.vstack([axes, -axes])
+    offset = np.append(centre, -centre)
     within = [
         {"type": "ineq", "fun": lambda z: room(*z)[0], "jac": lambda z: room(*z)[1]},
-        {"type": "ineq", "fun": lambda z: EDGE - np.abs(centre + axes @ z)},
+        {"type": "ineq", "fun": lambda z: EDGE - offset - both @ z, "jac": lambda _: -both},
     ]
 
     def farthest(way: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -302,3 +323,19 @@ def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
     signs = np.array([[-1.0], [1.0]])
     ends = centre + signs * [[reach(sign * way) for way in axes] for sign in signs]
     return np.where(np.abs(ends) < EDGE - STEP, ends, np.copysign(np.inf, ends))
+
+
+def reliance_link(model: TrustDynamics, panel: Panel) -> Link:
+    """Return the link of reliance that is likeliest, given what a model says of trust."""
+    asked = np.isfinite(panel.events.followed)
+    if not asked.any():
+        return Link(np.nan, np.nan)
+    preference = predict(model, panel).preference[asked]
+    relied = panel.events.followed[asked]
+
+    def loss(x: np.ndarray) -> float:
+        odds = x[0] + x[1] * preference
+        # A weak prior: where trust and reliance are one step the slope has no maximum.
+        return np.mean(np.logaddexp(0.0, odds) - relied * odds) + 1e-5 * x @ x
+
+    return Link(*minimize(loss, np.zeros(2), jac="3-point", method="BFGS").x.tolist())

@@ -275,6 +275,17 @@ class TrustDynamics:
         """
         raise NotImplementedError
 
+    def preference(self, belief: Any) -> np.ndarray:
+        """
+        Return what reliance depends on: the expected trust, unless a model says otherwise.
+
+        Parameters
+        ----------
+        belief : Any
+            The belief now.
+        """
+        return self.rating(belief).mean
+
 
 def _least_and_unit(model: TrustDynamics | type[TrustDynamics]) -> tuple[np.ndarray, ...]:
     """Return the least values of parameters, the widths of ranges or 1, and which are finite."""

@@ -11,15 +11,18 @@ from trustlab.trust.panel import Panel
 
 class Predictions(NamedTuple):
     """
-    What a model says of every rating after an event.
+    What a model says before every event and every later rating.
 
     Parameters
     ----------
     distributions : list
         Of the ratings after each event.
+    preference : numpy.ndarray, shape (N, K)
+        What reliance depends on, before each event.
     """
 
     distributions: list
+    preference: np.ndarray
 
     @property
     def mean(self) -> np.ndarray:
@@ -45,7 +48,7 @@ def cell(rating: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray]
     return low, np.where(rating + half >= 1.0, np.inf, rating + half)
 
 
-def predict(model: TrustDynamics, panel: Panel, free: bool = False) -> Predictions:
+def predict(model: TrustDynamics, panel: Panel, free: bool = False, known: int = 0) -> Predictions:
     """
     Return what a model predicts of a panel.
 
@@ -56,19 +59,23 @@ def predict(model: TrustDynamics, panel: Panel, free: bool = False) -> Predictio
     panel : Panel
         Events, and ratings to learn from.
     free : bool
-        Learn from no rating but the first.
+        Learn from no rating but the first, or the `known` first ones.
+    known : int
+        With `free`: ratings after how many events are learned from.
 
     Returns
     -------
     Predictions
     """
-    belief, distributions = model.start(panel.ratings[:, 0]), []
+    belief = model.start(panel.ratings[:, 0])
+    distributions, preference = [], np.empty((len(panel), panel.trials))
     for k in range(panel.trials):
+        preference[:, k] = model.preference(belief)
         belief = model.step(belief, panel.event(k))
         distributions.append(model.rating(belief))
-        if not free:
+        if not free or k < known:
             belief = model.learn(belief, panel.ratings[:, k + 1])
-    return Predictions(distributions)
+    return Predictions(distributions, preference)
 
 
 def log_likelihood(model: TrustDynamics, panel: Panel, free: bool = False) -> np.ndarray:

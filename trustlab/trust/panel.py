@@ -10,10 +10,8 @@ import pandas as pd
 from trustlab.models.checks import array_between, one_of, positive
 from trustlab.trust.interface import Event
 
+# Columns of a panel in a table, beside person and trial.
 SIGNALS = Event._fields
-# Columns of a panel in a table, and those that it must have.
-KNOWN = "person", "trial", "rating", *SIGNALS
-NEEDED = "person", "trial", "rating", "p_r"
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +79,14 @@ class Panel:
         return replace(self, people=people, events=events, ratings=self.ratings[rows])
 
 
+def panel_until(panel: Panel, event: int) -> Panel:
+    """Return a panel without the ratings and the reliance after an event, counted from 1."""
+    later = np.arange(panel.trials) >= event
+    ratings = np.where(np.append(False, later), np.nan, panel.ratings)
+    followed = np.where(later, np.nan, panel.events.followed)
+    return replace(panel, ratings=ratings, events=panel.events._replace(followed=followed))
+
+
 def panel_of(
     table: pd.DataFrame,
     *,
@@ -99,27 +105,28 @@ def panel_of(
     Signals of `Event` that the table lacks have their usual values; without a resolution it is the
     least difference of two ratings.
     """
+    needed = ("person", "trial", "rating", "p_r")
     for signal in columns:
-        one_of("a signal of columns", signal, KNOWN)
-    named = {name: name for name in KNOWN if name in table or name in NEEDED} | dict(columns)
-    for column in named.values():
+        one_of("a signal of columns", signal, (*needed[:3], *SIGNALS))
+    wanted = {name: name for name in needed} | dict(columns)
+    for column in wanted.values():
         if column not in table:
             raise ValueError(f"the table has no column {column!r} (there are {', '.join(table)})")
-    table = pd.DataFrame({signal: table[column] for signal, column in named.items()})
+    table = table.rename(columns={column: signal for signal, column in columns.items()})
     span, (worst, best) = positive("high - low", high - low), performance
     # People stay in the order of the table, their trials are put in order.
     person, people = pd.factorize(table["person"], use_na_sentinel=False)
     table = table.assign(person=person).sort_values("trial", kind="stable")
-    number = table.groupby("person").cumcount() + (not before)
+    number = table.groupby("person").cumcount().rename("number") + (not before)
     signals = table.reindex(columns=["rating", *SIGNALS]).astype(float)
     signals["p_r"] = (signals["p_r"] - worst) / (best - worst)
     array_between("p_r", signals["p_r"].to_numpy()[number > 0], 0.0, 1.0, "performance")
     # A signal that is not in the table, or missing there, has its usual value.
     signals = signals.fillna(Event()._asdict())
-    # Rows of people for each signal; NaN where a person has no such trial.
-    wide = np.full((signals.shape[1], len(people), number.max() + 1), np.nan)
-    wide[:, table["person"], number] = signals.T
-    ratings = (wide[0] - low) / span
+    # Rows of people; NaN where a person has no such trial.
+    wide = signals.set_index([table["person"], number]).unstack()  # noqa: PD010 (no repeats)
+    wide = wide.reindex(columns=pd.MultiIndex.from_product([signals, range(number.max() + 1)]))
+    ratings = (wide["rating"].to_numpy() - low) / span
     outside = (ratings < 0.0) | (ratings > 1.0)
     if outside.any():
         raise ValueError(
@@ -131,7 +138,7 @@ def panel_of(
         resolution = float(np.diff(levels).min()) if levels.size > 1 else 0.01
     return Panel(
         tuple(people),
-        Event(*wide[1:, :, 1:]),
+        Event(*(wide[name].to_numpy()[:, 1:] for name in SIGNALS)),
         ratings,
         positive("resolution", resolution),
         source,

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy import special
 
 from trustlab.models.checks import did_you_mean, one_of
 from trustlab.models.published import data_folder
@@ -32,8 +33,8 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
     Parameters
     ----------
     name : str, path, pandas.DataFrame or RecordedStudy
-        A public set that comes with trustlab, "hybrid_real", "hybrid_vr" or "trust_transfer"; a CSV
-        file or a table with a row per person and trial; or a live study,
+        A public set that comes with trustlab, "hybrid_real", "hybrid_vr", "trust_transfer" or
+        "btm"; a CSV file or a table with a row per person and trial; or a live study,
         `tl.read_live_study(folder)`.
     recipe : mapping or path, optional
         Of a file, table or study, or a TOML file that holds it: `columns`, which maps person,
@@ -56,7 +57,8 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
     -----
     Y. Du and others, hybrid trust dataset, 2026: 100 people with a real robot and 100 in virtual
     reality, ten trials each. H. Soh and others, RSS 2018: 32 people, a task before and after two
-    observed performances. All under the MIT licence, which lies beside each.
+    observed performances. H. Azevedo-Sa and others, RA-L 2021: trust after three observed tasks,
+    852 answers. All under the MIT licence, which lies beside each.
 
     Examples
     --------
@@ -118,6 +120,29 @@ def _transfer(path: Path) -> Panel:
     return panel_of(table, **SEVEN_POINTS, source=source, cautions=cautions)
 
 
+def _capabilities(path: Path) -> Panel:
+    """Return trust after three observed tasks; there are no ratings before."""
+    from scipy.io import loadmat
+
+    data = loadmat(path)
+    # The file has the logistic of 7-point answers less 4.
+    rated = np.round(special.logit(data["trust_pred"].ravel())) + 4.0
+    rows = []
+    for i, rating in enumerate(rated):
+        # Pairs (failure, success) in the order in which tasks were observed; (0, 0) for none.
+        success = [pair[1] for pair in data["obs_task_perf_seq"][:, i] if pair.any()]
+        performances, ratings = [np.nan, *success], [*(np.nan for _ in success), rating]
+        for trial, seen in enumerate(zip(performances, ratings, strict=True)):
+            rows.append((f"A{i:03d}", trial, *seen))
+    cautions = (
+        "A row is an answer, not a person: three answers are one person's.",
+        "The task rated is another one than those observed.",
+    )
+    table = pd.DataFrame(rows, columns=["person", "trial", "p_r", "rating"])
+    source = "Azevedo-Sa and others 2021, MIT"
+    return panel_of(table, **SEVEN_POINTS, source=source, cautions=cautions)
+
+
 HYBRID = (
     "Following advice is nearly a step function of trust at .5 (r is above .9 between trust above "
     ".5 and following): draw no conclusion on reliance from these data."
@@ -127,4 +152,5 @@ SETS: dict[str, tuple[str, Callable[[Path], Panel]]] = {
     "hybrid_real": ("hybrid_trust_du2026/Real_World_data.json", _hybrid),
     "hybrid_vr": ("hybrid_trust_du2026/VR_Based_data.json", _hybrid),
     "trust_transfer": ("trust_transfer_soh2018/trust_transfer_household_cleaned.csv", _transfer),
+    "btm": ("btm_azevedo2021/MatDataset.mat", _capabilities),
 }

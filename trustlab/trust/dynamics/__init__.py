@@ -2,7 +2,7 @@
 
 from trustlab.trust.dynamics.armav import SeriesTrust
 from trustlab.trust.dynamics.asymmetric import SwitchedTrust
-from trustlab.trust.dynamics.baselines import Constant, Persistence, RunningMean
+from trustlab.trust.dynamics.baselines import Constant, Habit, Persistence, RunningMean
 from trustlab.trust.dynamics.beta import BetaTrust
 from trustlab.trust.dynamics.cumulative import CumulativeTrust
 from trustlab.trust.dynamics.dissertation import PerformanceTrust
@@ -14,6 +14,7 @@ BASELINES: dict[str, type[TrustDynamics]] = {
     "persistence": Persistence,
     "running_mean": RunningMean,
     "constant": Constant,
+    "habit": Habit,
 }
 MODELS: dict[str, type[TrustDynamics]] = {
     "performance": PerformanceTrust,

@@ -1,9 +1,12 @@
-"""What a model of trust has to beat: persistence, a running mean, a constant."""
+"""What a model of trust has to beat: persistence, running mean, a constant, a person's habit."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
-from trustlab.trust.dynamics.linear import LinearTrust
+import numpy as np
+from scipy import special
+
+from trustlab.trust.dynamics.linear import Gaussian, LinearTrust
 from trustlab.trust.interface import Event, parameter
 
 
@@ -74,3 +77,44 @@ class Constant(LinearTrust):
             Without effect.
         """
         return 0.0, self.level
+
+
+@dataclass(frozen=True)
+class Habit(RunningMean):
+    """
+    People go on as before: ratings about their running mean, reliance at their share so far.
+
+    Parameters
+    ----------
+    process_sd, rating_sd : float
+        See `LinearTrust`; there is no process noise.
+    """
+
+    title: ClassVar[str] = "own habit"
+    # States: trust, then how often a person could rely on the robot, and how often they did.
+    direction: ClassVar[tuple[float, ...]] = (1.0, 0.0, 0.0)
+    offset: ClassVar[tuple[float, ...]] = (0.0, 0.0, 0.0)
+
+    def transition(self, event: Event):
+        """
+        Return a matrix that keeps all, and what is counted.
+
+        Parameters
+        ----------
+        event : Event
+            Its `followed`.
+        """
+        asked, relied = np.isfinite(event.followed), np.nan_to_num(event.followed)
+        return np.eye(3), np.stack([0.0 * asked, asked, relied], axis=-1)
+
+    def preference(self, belief: Gaussian) -> np.ndarray:
+        """
+        Return the log odds of the share of chances taken so far, one taken and one not added.
+
+        Parameters
+        ----------
+        belief : Gaussian
+            The belief now.
+        """
+        _, chances, relied = belief.mean.T
+        return special.logit((relied + 1.0) / (chances + 2.0))
