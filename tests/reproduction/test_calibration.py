@@ -107,6 +107,7 @@ def test_a_study_that_the_model_can_give_is_within_reach_and_found():
     assert within.extrapolated == ()
     row = within.table().set_index("assumption").loc["attention_cost"]
     assert row["low"] < TRUE["attention_cost"] < row["high"]
+    assert within.assumptions["attention_cost"] == pytest.approx(row["median"])
 
 
 def test_effects_beyond_all_simulations_are_said_to_be_out_of_reach():

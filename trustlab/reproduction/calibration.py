@@ -27,7 +27,7 @@ from scipy import special
 from scipy.spatial import KDTree
 
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import in_order, of_class, one_of, shown, whole_number
+from trustlab.models.checks import between, in_order, of_class, one_of, shown, whole_number
 from trustlab.models.display import Result
 from trustlab.models.files import write_atomically
 from trustlab.operators.ground_robot import checked_assumptions
@@ -59,9 +59,6 @@ TELEOPERATOR_PRIORS = {
     "allocation_cost": (0.0, 0.6),
     "fatigue_of_hand": (0.0, 0.5),
 }
-
-# The least share of `Calibration.reach` that is within reach.
-LEAST_SHARE = 0.05
 
 # Simulations for every coefficient of the regression, at the least.
 LEAST_PER_COEFFICIENT = 2
@@ -129,6 +126,11 @@ class Calibration(Result):
         posterior is no estimate.
         """
         return tuple(compress(self.priors, self._sampled[1]))
+
+    @property
+    def assumptions(self) -> dict[str, float]:
+        """Medians of the posterior, for `simulated_effects`."""
+        return self.posterior.median().to_dict()
 
     @property
     def title(self) -> str:
@@ -202,24 +204,30 @@ class Calibration(Result):
             rows.append((" ".join(measures), len(printed), nearest, typical, share))
         return pd.DataFrame(rows, columns=["measures", "effects", "nearest", "typical", "share"])
 
-    def within_reach(self) -> "Calibration":
+    def within_reach(self, share: float = 0.05) -> "Calibration":
         """
-        Return the calibration given as many measures as simulated studies reach at once, with a
-        share of .05 or more in `reach`, of equally many the best reached.
+        Return the calibration given as many measures as simulated studies reach at once, of equally
+        many the best reached.
+
+        Parameters
+        ----------
+        share : float
+            The least share of `reach` that counts.
 
         Raises
         ------
         ValueError
             If no measure is within reach.
         """
+        share = between("share", share, 0.0, 1.0)
         for size in range(len(self.measures), 0, -1):
             candidates = [self.given(*measures) for measures in combinations(self.measures, size)]
             shares = [-1.0 if c.extrapolated else c.reach()["share"].iloc[-1] for c in candidates]
-            if max(shares) >= LEAST_SHARE:
+            if max(shares) >= share:
                 return candidates[int(np.argmax(shares))]
         raise ValueError(
             f"no measure of {self.study} is within reach of simulated studies, at a share of "
-            f"{LEAST_SHARE:g}"
+            f"{share:g}"
         )
 
     def checks(

@@ -13,6 +13,7 @@ from scipy import stats
 import trustlab as tl
 from tests import textbook
 from trustlab.reproduction import ReconstructionError
+from trustlab.reproduction.reconstruction import search
 
 STUDIES = tl.published_studies()
 SLIPS = {"teleop.tracking_error": {"anova.df1"}}
@@ -139,6 +140,16 @@ def test_no_data_is_an_error_that_says_what_the_closest_miss():
     """Unadjusted, the pairs of this study are too far apart for its F."""
     with pytest.raises(ReconstructionError, match="60 starts; the closest miss "):
         tl.reconstruct(STUDIES["uav.human_performance"], p_adjust="none")
+
+
+def test_where_no_pairs_are_printed_one_adjustment_is_tried(monkeypatch):
+    """Of its pairs nothing is known; the spread of C can be cancelled by A and B in part only."""
+    monkeypatch.setattr(search, "STARTS", 3)
+    cells = {"mean": {"A": "0.00", "B": "1.00", "C": "2.00"}}
+    cells["sd"] = {"A": "1.00", "B": "1.00", "C": "10.00"}
+    study = tl.PublishedStudy("s", 10, **cells, anova={"F": "0.21"})
+    with pytest.raises(ReconstructionError, match="p_adjust='bonferroni': No data"):
+        tl.reconstruct(study)
 
 
 @pytest.mark.parametrize("name", STUDIES_AT_THE_EDGE)

@@ -15,6 +15,8 @@ LETTERS = {"ε": "epsilon", "χ2": "chi2", "β": "beta"}
 
 VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
 
+INSIDE = 1000  # points inside a box of rounding
+
 # How many conditions the studies of Sections 2.4.2 and 3.9 have.
 CONDITIONS = {"uav": 5, "teleop": 4}
 
@@ -155,13 +157,16 @@ class Formula:
         """
         Return the value, and its least and greatest when every input varies within its rounding.
 
-        Exact for functions that are monotone in each input, as nearly all here are (none of 20,000
-        draws gives a number that “differs”); NaN (an impossible input) is passed over.
+        Exact for functions that are monotone in each input, as nearly all here are; NaN (an
+        impossible input) is passed over.
         """
         inputs = {x: numbers[id] for x, id in self.at(relation, numbers)[1].items()}
         vary = [x for x, number in inputs.items() if number.half > 0 and x not in self.as_printed]
-        # The middle, and all corners.
-        points = np.array([[0.0] * len(vary), *product((-1.0, 1.0), repeat=len(vary))])
+        # The middle, all corners, and points inside, the same at every call, where a function that
+        # is not monotone may turn.
+        corners = np.array(list(product((-1.0, 1.0), repeat=len(vary))))
+        inside = np.random.default_rng(0).uniform(-1.0, 1.0, (INSIDE, len(vary)))
+        points = np.concatenate([np.zeros((1, len(vary))), corners, inside])
         arrays = {x: np.full(len(points), number.value) for x, number in inputs.items()}
         for x, offsets in zip(vary, points.T, strict=True):
             arrays[x] += inputs[x].half * offsets

@@ -9,6 +9,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction
+from functools import cache
+from itertools import combinations
 from statistics import mode
 from typing import Any
 
@@ -39,20 +41,28 @@ PEOPLE = {
 def study_conflicts(numbers: Numbers) -> dict[str, str]:
     """Return numbers of studies that others contradict however p was adjusted, with the reason."""
     conflicts = {}
-    for name, study in published_studies().items():
-        fields: dict[str, Any] = {
-            key: {part: numbers[f"{name}/{key}.{part}"].printed for part in getattr(study, key)}
-            for key in PRINTED
-        }
-        fields["epsilon"] = study.epsilon and numbers[f"{name}/epsilon"].printed
-        printed = replace(study, n=int(numbers[f"{name}/n"].value), **fields)
-        first, *rest = (contradictions(printed, p_adjust) for p_adjust in ADJUSTMENTS)
-        conflicts |= {
-            f"{name}/{statistic}": f"Impossible: {reason}."
-            for statistic, reason in first.items()
-            if all(statistic in other for other in rest)
-        }
+    for name in published_studies():
+        texts = ((id, x.printed) for id, x in numbers.items() if id.startswith(f"{name}/"))
+        conflicts |= _conflicts(name, int(numbers[f"{name}/n"].value), tuple(texts))
     return conflicts
+
+
+@cache
+def _conflicts(name: str, n: int, texts: tuple[tuple[str, str], ...]) -> dict[str, str]:
+    """Return the conflicts of one study; what is printed of it is proved wrong once."""
+    printed, study = dict(texts), published_studies()[name]
+    fields: dict[str, Any] = {
+        key: {part: printed[f"{name}/{key}.{part}"] for part in getattr(study, key)}
+        for key in PRINTED
+    }
+    fields["epsilon"] = study.epsilon and printed[f"{name}/epsilon"]
+    again = replace(study, n=n, **fields)
+    first, *rest = (contradictions(again, p_adjust) for p_adjust in ADJUSTMENTS)
+    return {
+        f"{name}/{statistic}": f"Impossible: {reason}."
+        for statistic, reason in first.items()
+        if all(statistic in other for other in rest)
+    }
 
 
 def is_attainable(number: PrintedNumber, units: Fraction) -> bool:
@@ -136,19 +146,21 @@ def remarks(numbers: Numbers, conflicts: Mapping[str, str]) -> Iterator[Row]:
         if limits[id] != mode(limits.values()):
             remark = "most of its kind have another bound; probably a zero is missing."
             yield row_about(numbers[id], f"Suspicious: {remark}")
-    tests: dict[tuple[str, str], str] = {}  # the first study that has such χ² and p
-    for study in published_studies():
-        chi2, p, df = (numbers.get(f"{study}/mauchly.{end}") for end in ("chi2", "p", "df"))
-        if chi2 and p and df:
-            first = tests.setdefault((chi2.printed, p.printed), study)
-            if first != study:
-                chance = np.diff(stats.chi2.cdf(chi2.compatible, df.value)).item()
-                reason = (
-                    f"Suspicious: χ² = {chi2.printed} and p = {p.printed} are printed for {first} "
-                    "as well; under sphericity two measures agree so closely with a chance of "
-                    f"about 1 in {1.0 / chance:.0f}. Probably one was copied from the other."
-                )
-                yield row_about(chi2, reason, id=f"{chi2.id}/duplicate")
+    ends = ("chi2", "p", "df")
+    tests = {
+        study: [numbers[f"{study}/mauchly.{end}"] for end in ends]
+        for study, printed in published_studies().items()
+        if printed.mauchly.keys() >= {*ends}
+    }
+    for (first, test), (_, (chi2, p, df)) in combinations(tests.items(), 2):
+        if [chi2.printed, p.printed] == [x.printed for x in test[:2]]:
+            chance = np.diff(stats.chi2.cdf(chi2.compatible, df.value)).item()
+            reason = (
+                f"Suspicious: χ² = {chi2.printed} and p = {p.printed} are printed for {first} as "
+                "well; under sphericity two measures agree so closely with a chance of about 1 in "
+                f"{1.0 / chance:.0f}. Probably one was copied from the other."
+            )
+            yield row_about(chi2, reason, id=f"{chi2.id}/duplicate")
 
 
 # Where numbers are printed a second time, their first place, and its name.

@@ -88,11 +88,14 @@ def _epsilon(
     needed = {name: known[name] / unit for name, unit in units.items() if name in known}
     if not needed:
         return (1.0 / d, 1.0), {}
-    for agreeing in (x for size in (3, 2, 1) for x in combinations(needed, size)):
-        low = max(needed[name][0] for name in agreeing)
-        high = min(needed[name][1] for name in agreeing)
-        if low <= high:
-            break
+    # If intervals have a common point, an end of one of them is one.
+    ends = [low if math.isfinite(low) else high for low, high in needed.values()]
+    agreeing = max(
+        ([name for name, (low, high) in needed.items() if low <= end <= high] for end in ends),
+        key=len,
+    )
+    low = max(needed[name][0] for name in agreeing)
+    high = min(needed[name][1] for name in agreeing)
     believed = f"but {' and '.join(agreeing)} from {low:.6g} to {high:.6g}"
     others = {name: ends for name, ends in needed.items() if name not in agreeing}
     wrong = {

@@ -13,7 +13,7 @@ from trustlab.models.display import Result
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, constraints
 from trustlab.reproduction.reconstruction.contradictions import contradictions, reading_of
-from trustlab.reproduction.reconstruction.search import STARTS, Search
+from trustlab.reproduction.reconstruction.search import STARTS, Found, Search
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,18 +31,15 @@ class Feasibility(Result):
         How pairwise p-values were adjusted.
     left_out : mapping of str to str
         Statistics left out beforehand as others contradict them by arithmetic, with the reason.
-    scores : numpy.ndarray, shape (n, k)
+    found : Found
         Data that were found, or the closest ones.
-    conflict : tuple of str
-        Where no data were found: the statistics that the closest ones do not have.
     """
 
     study: PublishedStudy
     reading: str
     p_adjust: str
     left_out: Mapping[str, str]
-    scores: np.ndarray
-    conflict: tuple[str, ...]
+    found: Found
 
     def __bool__(self) -> bool:
         return self.feasible is True
@@ -58,7 +55,12 @@ class Feasibility(Result):
     @property
     def rest_feasible(self) -> bool | None:
         """True if data with all that is not left out were found, None if none were."""
-        return None if self.conflict else True
+        return None if self.found.missed else True
+
+    @property
+    def conflict(self) -> tuple[str, ...]:
+        """Where no data were found: the statistics that the closest ones do not have."""
+        return self.found.missed
 
     @property
     def message(self) -> str:
@@ -134,7 +136,7 @@ def feasibility(study: PublishedStudy, p_adjust: str = "bonferroni", seed: int =
     rows = [s for s in constraints(study) if s.name not in left_out]
     reading = reading_of(study)
     found = Search(study, reading, p_adjust, rows).solve(rng)
-    return Feasibility(study, reading.words, p_adjust, left_out, *found)
+    return Feasibility(study, reading.words, p_adjust, left_out, found)
 
 
 class ReconstructionError(ValueError):
@@ -148,7 +150,7 @@ RECONSTRUCTED = {
 }
 
 
-def reconstruct(study: PublishedStudy, seed: int = 0, p_adjust: str = "bonferroni") -> pd.DataFrame:
+def reconstruct(study: PublishedStudy, seed: int = 0, p_adjust: str | None = None) -> pd.DataFrame:
     """
     Return data that have the statistics printed for a study.
 
@@ -161,8 +163,9 @@ def reconstruct(study: PublishedStudy, seed: int = 0, p_adjust: str = "bonferron
         The study, for example `published_studies()["uav.tlx"]`.
     seed : int
         Seed; each draws its own subjects.
-    p_adjust : {"bonferroni", "holm", "sidak", "none"}
-        How the printed pairwise p-values were adjusted for the number of comparisons.
+    p_adjust : {"bonferroni", "holm", "sidak", "none"}, optional
+        How the printed pairwise p-values were adjusted; the first of these under which all can
+        hold, unless given.
 
     Returns
     -------
@@ -184,13 +187,22 @@ def reconstruct(study: PublishedStudy, seed: int = 0, p_adjust: str = "bonferron
     >>> frame.groupby("condition")["value"].mean().round(1).to_dict()
     {'C1': 54.3, 'C2': 50.1, 'C3': 44.2, 'C4': 51.9, 'C5': 52.8}
     """
-    answer = feasibility(study, p_adjust, seed)
-    if not answer.rest_feasible:
-        raise ReconstructionError(f"{study.name}, p_adjust={p_adjust!r}: {answer.message}")
+    of_class("study", study, PublishedStudy)
+    candidates = [p_adjust]
+    if p_adjust is None:  # first what the fewest numbers contradict; without pairs all are the same
+        pairs = study.pairs or study.significant_without_p
+        candidates = sorted(ADJUSTMENTS, key=lambda each: len(contradictions(study, each)))
+        candidates = candidates if pairs else candidates[:1]
+    for candidate in candidates:
+        answer = feasibility(study, candidate, seed)
+        if answer.rest_feasible:
+            break
+    else:
+        raise ReconstructionError(f"{study.name}, p_adjust={candidate!r}: {answer.message}")
     subjects = pd.RangeIndex(1, study.n + 1, name="subject")
-    wide = pd.DataFrame(answer.scores, subjects, list(study.conditions))
+    wide = pd.DataFrame(answer.found.scores, subjects, list(study.conditions))
     long = wide.melt(var_name="condition", value_name="value", ignore_index=False)
     frame = long.sort_index(kind="stable").reset_index()
-    about = {"study": study.name, "p_adjust": p_adjust, "seed": int(seed)}
+    about = {"study": study.name, "p_adjust": candidate, "seed": int(seed)}
     frame.attrs = {**RECONSTRUCTED, **about, "left_out": answer.left_out}
     return frame

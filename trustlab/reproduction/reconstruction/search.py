@@ -8,8 +8,7 @@ interval is minimised; where nothing does, the data are a solution.
 """
 
 from collections.abc import Sequence
-from itertools import compress
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import optimize, special
@@ -32,6 +31,13 @@ UNIT = 0.05
 FAR = 1e6  # the violation of what is no number
 
 TINY = 1e-300  # below which a p is not told apart
+
+
+class Found(NamedTuple):
+    """Scores, shape (n, k), and the printed statistics that they do not have."""
+
+    scores: np.ndarray
+    missed: tuple[str, ...]
 
 
 class Search:
@@ -120,11 +126,8 @@ class Search:
         return np.concatenate([mean, loading.ravel()])
 
     @np.errstate(all="ignore")  # candidates may be degenerate, and numbers that are printed, too
-    def solve(self, rng: np.random.Generator) -> tuple[np.ndarray, tuple[str, ...]]:
-        """
-        Search from several starts; return the first scores (n, k) that are a solution, or the
-        closest ones, and the printed statistics that they do not have.
-        """
+    def solve(self, rng: np.random.Generator) -> Found:
+        """Search from several starts; return the first solution, or the closest data."""
         closest, least = None, np.array([np.inf])
         for _ in range(STARTS):
             x, people = self._start(rng), rng.standard_normal((self._study.n, self._study.k))
@@ -143,4 +146,5 @@ class Search:
                 closest, least = self._scores(x[None], people)[0], outside
             if not least.any():
                 break
-        return closest, tuple(compress(self._names, least))
+        missed = (name for name, beyond in zip(self._names, least, strict=True) if beyond)
+        return Found(closest, tuple(missed))
