@@ -36,6 +36,14 @@ def test_a_range_holds_every_point_of_the_box(a, b, c):
     assert found.max() <= high + 1e-12
 
 
+def test_a_formula_that_turns_inside_its_box_reaches_its_least():
+    """|a − b| is 0 within the rounding of a and b, and neither in the middle nor at a corner."""
+    numbers = {id: number(id, text) for id, text in {"a": "2.01", "b": "2.0", "x": "0.00"}.items()}
+    ids = {"a": "a", "b": "b"}
+    row = Follows("x", "|a − b|", lambda v: abs(v.a - v.b), ids=ids).row(numbers)
+    assert row.verdict == "within rounding"
+
+
 def number(id, text):
     return PrintedNumber(id, "Table", id, text)
 
