@@ -159,3 +159,10 @@ def test_rows_without_a_name_are_one_persons():
     assert len(panel) == len(panel.ratings) == 2
     assert panel.people[1] == "b"
     np.testing.assert_array_equal(panel.ratings[1], [0.8, 0.9])
+
+
+def test_a_recipe_may_name_another_column_beside_one_of_the_signals_name():
+    """The ratings are the answers, not what the table calls ratings."""
+    table = pd.DataFrame({"person": "a", "trial": [0, 1], "rating": 9.0, "answer": [0.1, 0.2]})
+    panel = tl.read_people(table.assign(p_r=1.0), {"columns": {"rating": "answer"}})
+    np.testing.assert_array_equal(panel.ratings, [[0.1, 0.2]])

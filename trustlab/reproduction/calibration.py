@@ -199,7 +199,7 @@ class Calibration(Result):
             scale = np.maximum(values.std(axis=0), 1e-12)
             tree = KDTree(values / scale)
             nearest, _ = tree.query(printed / scale)
-            apart = tree.query(values / scale, 2)[0][:, 1]
+            apart = tree.query(tree.data, 2)[0][:, 1]
             typical, share = np.median(apart), (apart >= nearest).mean()
             rows.append((" ".join(measures), len(printed), nearest, typical, share))
         return pd.DataFrame(rows, columns=["measures", "effects", "nearest", "typical", "share"])
@@ -222,9 +222,7 @@ class Calibration(Result):
         share = between("share", share, 0.0, 1.0)
         for size in range(len(self.measures), 0, -1):
             candidates = [self.given(*measures) for measures in combinations(self.measures, size)]
-            shares = [
-                -1.0 if c.extrapolated else float(c.reach()["share"].iloc[-1]) for c in candidates
-            ]
+            shares = [-1.0 if c.extrapolated else c.reach()["share"].iloc[-1] for c in candidates]
             if max(shares) >= share:
                 return candidates[int(np.argmax(shares))]
         raise ValueError(
@@ -275,20 +273,20 @@ class Calibration(Result):
         runs = [{"study": self.study, "n": self.settings["n"]} | row for row in drawn]
         done = run_campaign(simulated_study, runs, seed=seed, progress=False, n_jobs=n_jobs)
         effects = self.observed.set_index("id")
-        effects = effects[done[effects.index].notna().any()]
-        prior = self.simulations[effects.index].agg(["min", "max"]).to_numpy()
-        predicted = done[effects.index].astype(float).quantile([0.025, 0.975]).to_numpy()
-        reached, met = (
-            (low <= effects["high"]) & (effects["low"] <= high) for low, high in (prior, predicted)
-        )
-        table = effects[["printed"]].assign(
-            prior_low=prior[0],
-            prior_high=prior[1],
-            reached=reached,
-            low=predicted[0],
-            high=predicted[1],
-            predicted=met,
-        )
+        done = done[effects.index].dropna(axis="columns", how="all").astype(float)
+        effects = effects.loc[done.columns]
+        table = effects[["printed"]].copy()
+        for least, greatest, meets, ends in (
+            (
+                "prior_low",
+                "prior_high",
+                "reached",
+                self.simulations[done.columns].agg(["min", "max"]),
+            ),
+            ("low", "high", "predicted", done.quantile([0.025, 0.975])),
+        ):
+            low, high = table[least], table[greatest] = ends.to_numpy()
+            table[meets] = (low <= effects["high"]) & (effects["low"] <= high)
         return table.reset_index()
 
 
@@ -391,15 +389,10 @@ def write_calibration(calibration: Calibration, folder: str | os.PathLike) -> No
     folder : path-like
         Where; made if it is not there.
     """
-    place = Path(folder)
-    place.mkdir(parents=True, exist_ok=True)
-    about = {
-        "study": calibration.study,
-        "priors": calibration.priors,
-        "settings": calibration.settings,
-        "origin": "simulated operators",
-    }
-    path = place / calibration.study
+    path = Path(folder) / calibration.study
+    path.parent.mkdir(parents=True, exist_ok=True)
+    about = {name: getattr(calibration, name) for name in ("study", "priors", "settings")}
+    about["origin"] = "simulated operators"
     write_atomically(f"{path}.json", json.dumps(about, indent=1) + "\n")
     write_atomically(f"{path}.csv", calibration.simulations.to_csv(index=False))
 
@@ -443,8 +436,8 @@ def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple
         if np.shape(pair) != (2,):
             raise ValueError(f"the prior of {name} must be two numbers, got {shown(pair)}")
         ranges[name] = in_order(f"the low end of {name}", pair[0], "its high end", pair[1])
-    for end in (0, 1):
-        checked_assumptions({name: pair[end] for name, pair in ranges.items()}, EVERY_ASSUMPTION)
+        for end in ranges[name]:
+            checked_assumptions({name: end}, EVERY_ASSUMPTION)
     return ranges
 
 
@@ -457,7 +450,7 @@ def prior_draws(
     """
     low, high = np.transpose(list(ranges.values()))
     draws = np.random.default_rng([seed, 0x7072696F]).uniform(low, high, (count, len(ranges)))
-    return pd.DataFrame(draws, columns=list(ranges)).to_dict("records")
+    return [dict(zip(ranges, row, strict=True)) for row in draws.tolist()]
 
 
 def simulated_study(
@@ -508,4 +501,4 @@ def posterior_sample(
 
 def observed_effects(study: str) -> pd.DataFrame:
     """Return the effects of a study whose size is printed."""
-    return effects_of(study, "study").dropna(subset="printed")
+    return effects_of(study, "study").dropna(subset="printed").drop(columns="place")

@@ -37,39 +37,38 @@ COLUMNS = ["id", "where", "measure", "contrast", "printed", "low", "high", "p"]
 
 @cache
 def _effects() -> pd.DataFrame:
-    """Return all effects that data/published/effects.toml lists, and of which study they are."""
-    listed = pd.DataFrame(_listed(**published_facts("effects")), columns=[*COLUMNS, "study"])
-    listed["id"] += "/" + listed["measure"] + "/" + listed["contrast"]
-    return listed
-
-
-def _listed(tables: list[dict], studies: list[dict], claims: list[dict]) -> Iterator[tuple]:
-    for table in tables:
-        name, where = table["study"], f"Table {table['table']}"
-        for measure, column in table["measures"].items():
-            means = published_table(table["table"])[column]
-            for contrast in table["contrasts"]:
-                yield (name, where, measure, contrast, *_sized(means, contrast), math.nan, name)
-    for each in studies:
-        study, name = published_studies()[each["name"]], each["name"].partition(".")[0]
-        for contrast in each["contrasts"]:
-            about = study.where, each["measure"], contrast
-            turned = "-".join(reversed(contrast.split("-")))
-            printed = {**study.t_test, **study.pairs}
-            text = printed.get(turned) or printed.get(contrast) or printed.get("p", "nan")
-            p = float(text.removeprefix("<"))
-            yield (name, *about, *_sized(study.mean, contrast), p, name)
-    for claim in claims:
+    """Return all effects that data/published/effects.toml lists, with their study and testbed."""
+    rows: list[tuple] = []
+    for study, where, measure, contrasts, means, tests in _compared_means():
+        for contrast in contrasts:
+            after, before = contrast.split("-")
+            (low, high), (least, most) = map(printed_interval, (means[after], means[before]))
+            size = float(printed_decimal(means[after]) - printed_decimal(means[before]))
+            p = tests.get(f"{before}-{after}") or tests.get(contrast) or tests.get("p", "nan")
+            ends = size, low - most, high - least, float(p.removeprefix("<"))
+            rows.append((study, where, measure, contrast, *ends, study))
+    for claim in published_facts("effects")["claims"]:
         about = claim["where"], claim["measure"], claim["contrast"]
-        ends = sorted((0.0, claim["sign"] * math.inf))
-        yield (claim["id"], *about, math.nan, *ends, math.nan, claim["study"])
+        half_line = sorted((0.0, claim["sign"] * math.inf))
+        rows.append((claim["id"], *about, math.nan, *half_line, math.nan, claim["study"]))
+    listed = pd.DataFrame(rows, columns=[*COLUMNS, "study"])
+    listed["id"] += "/" + listed["measure"] + "/" + listed["contrast"]
+    return listed.assign(place=listed["study"].replace(ALLOCATION))
 
 
-def _sized(means: Mapping[str, str], contrast: str) -> tuple[float, float, float]:
-    """Return the difference of two printed means, and its ends within their rounding."""
-    after, before = (means[condition] for condition in contrast.split("-"))
-    (low, high), (lowest, highest) = printed_interval(after), printed_interval(before)
-    return float(printed_decimal(after) - printed_decimal(before)), low - highest, high - lowest
+def _compared_means() -> Iterator[tuple]:
+    """
+    Return study, where, measure, contrasts, printed means and p-values of effects with a size.
+    """
+    facts = published_facts("effects")
+    for table in facts["tables"]:
+        printed, where = published_table(table["table"]), f"Table {table['table']}"
+        for measure, column in table["measures"].items():
+            yield table["study"], where, measure, table["contrasts"], printed[column], {}
+    for each in facts["studies"]:
+        study, chapter = published_studies()[each["name"]], each["name"].partition(".")[0]
+        tests = {**study.t_test, **study.pairs}
+        yield chapter, study.where, each["measure"], each["contrasts"], study.mean, tests
 
 
 def printed_effects() -> pd.DataFrame:
@@ -261,14 +260,11 @@ def simulated_effects(
     assumed = checked_assumptions(assumptions, EVERY_ASSUMPTION)
     n, seed = whole_number("n", n, least=3), whole_number("seed", seed, least=0)
     chosen = effects_of(only)
-    places = chosen["study"].replace(ALLOCATION)
     measured = {
-        place: _measured(place, assumed, n, seed, trust, n_jobs) for place in places.unique()
+        place: _measured(place, assumed, n, seed, trust, n_jobs)
+        for place in chosen["place"].unique()
     }
-    rows = [
-        _compared(effect, measured[place])
-        for effect, place in zip(chosen.itertuples(), places, strict=True)
-    ]
+    rows = [_compared(effect, measured[effect.place]) for effect in chosen.itertuples()]
     frame = chosen[COLUMNS].reset_index(drop=True).join(pd.DataFrame(rows, columns=SIMULATED))
     frame["agrees"] = frame["agrees"].astype("boolean")
     frame.attrs = {"origin": "simulated operators", "assumptions": assumed, "n": n, "seed": seed}
@@ -280,9 +276,8 @@ def effects_of(study: str | None, name: str = "only") -> pd.DataFrame:
     listed = _effects()
     if study is None:
         return listed
-    places = listed["study"].replace(ALLOCATION)
-    one_of(name, study, sorted({*places, *listed["study"]}))
-    return listed[(listed["study"] == study) | (places == study)]
+    one_of(name, study, sorted({*listed["place"], *listed["study"]}))
+    return listed[(listed["study"] == study) | (listed["place"] == study)]
 
 
 def _measured(

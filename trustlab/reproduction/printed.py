@@ -6,6 +6,7 @@ standard deviations allow, whatever the data.
 import math
 import re
 from decimal import ROUND_HALF_EVEN, ROUND_HALF_UP, Decimal, InvalidOperation
+from typing import Any
 
 import numpy as np
 from scipy import optimize
@@ -76,16 +77,19 @@ def rounds_to(value: float, target: Decimal) -> bool:
     return any(exact.quantize(target, rule) == target for rule in ROUNDINGS)
 
 
-def greatest_sd(mean: Interval, n: float, scale: Interval) -> float:
-    """Return the greatest standard deviation of n values within a scale, with a mean as printed."""
+def greatest_sd(mean: tuple[Any, Any], n: Any, scale: Interval) -> Any:
+    """
+    Return the greatest standard deviation of n values within a scale, with a mean between two ends;
+    takes numbers or arrays.
+    """
     low, high = scale
     if math.isinf(low):
         return math.inf
     if math.isinf(high):  # all values but one are the lowest
-        return (mean[1] - low) * math.sqrt(n)
+        return (mean[1] - low) * np.sqrt(n)
     # All values lie at the ends of the scale, and the mean as near its middle as can be.
-    middle = float(np.clip(0.5 * (low + high), *mean))
-    return math.sqrt(max((middle - low) * (high - middle), 0.0) * n / (n - 1))
+    middle = np.clip(0.5 * (low + high), *mean)
+    return np.sqrt(np.maximum((middle - low) * (high - middle), 0.0) * n / (n - 1))
 
 
 def possible_f(mean: np.ndarray, sd: np.ndarray, n: float) -> Interval:

@@ -12,6 +12,8 @@ from trustlab.trust.interface import Event
 
 # Columns of a panel in a table, beside person and trial.
 SIGNALS = Event._fields
+NEEDED = "person", "trial", "rating", "p_r"
+KNOWN = *NEEDED[:3], *SIGNALS
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,14 +107,13 @@ def panel_of(
     Signals of `Event` that the table lacks have their usual values; without a resolution it is the
     least difference of two ratings.
     """
-    needed = ("person", "trial", "rating", "p_r")
     for signal in columns:
-        one_of("a signal of columns", signal, (*needed[:3], *SIGNALS))
-    wanted = {name: name for name in needed} | dict(columns)
+        one_of("a signal of columns", signal, KNOWN)
+    wanted = {name: name for name in KNOWN if name in table or name in NEEDED} | dict(columns)
     for column in wanted.values():
         if column not in table:
             raise ValueError(f"the table has no column {column!r} (there are {', '.join(table)})")
-    table = table.rename(columns={column: signal for signal, column in columns.items()})
+    table = pd.DataFrame({signal: table[column] for signal, column in wanted.items()})
     span, (worst, best) = positive("high - low", high - low), performance
     # People stay in the order of the table, their trials are put in order.
     person, people = pd.factorize(table["person"], use_na_sentinel=False)

@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 from scipy import stats
 
 from trustlab.reproduction.audit.catalogue import PrintedNumber, printed_numbers
-from trustlab.reproduction.audit.check import Follows, Formula, NotPrintedError, Place
+from trustlab.reproduction.audit.check import Follows, Formula, NotPrintedError
 from trustlab.reproduction.audit.consistency import sample_checks
 from trustlab.reproduction.audit.relations import RELATIONS, chi2_of_epsilon, relations
 from trustlab.studies.anova import mauchly_p_value
@@ -26,14 +26,22 @@ def test_a_range_holds_every_point_of_the_box(a, b, c):
     texts = {"a": a, "b": b, "c": c, "x": 1}
     numbers = {name: number(name, str(text)) for name, text in texts.items()}
     follows = Follows("x", "", compute, ids={name: name for name in "abc"})
-    place = Place(follows, numbers)
-    value, low, high = follows.range(place)
+    value, low, high = follows.range(follows, numbers)
     middle = {name: numbers[name].value for name in "abc"}
-    assert value == pytest.approx(follows.at(place, middle)[0])
+    assert value == pytest.approx(follows.at(follows, numbers, middle)[0])
     draws = np.random.default_rng(0).uniform(-0.005, 0.005, (3, 500))
-    found = follows.at(place, {k: middle[k] + draws[i] for i, k in enumerate(middle)})[0]
+    values = {k: middle[k] + draws[i] for i, k in enumerate(middle)}
+    found = follows.at(follows, numbers, values)[0]
     assert found.min() >= low - 1e-12
     assert found.max() <= high + 1e-12
+
+
+def test_a_formula_that_turns_inside_its_box_reaches_its_least():
+    """|a − b| is 0 within the rounding of a and b, and neither in the middle nor at a corner."""
+    numbers = {id: number(id, text) for id, text in {"a": "2.01", "b": "2.0", "x": "0.00"}.items()}
+    ids = {"a": "a", "b": "b"}
+    row = Follows("x", "|a − b|", lambda v: abs(v.a - v.b), ids=ids).row(numbers)
+    assert row.verdict == "within rounding"
 
 
 def number(id, text):

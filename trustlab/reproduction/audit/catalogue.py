@@ -3,25 +3,19 @@
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from decimal import Decimal, InvalidOperation
 from fnmatch import fnmatchcase
 from functools import cache
 
 import pandas as pd
 
 from trustlab.models.checks import did_you_mean, shown
+from trustlab.models.published import printed_pilot, published_folder
 from trustlab.reproduction.printed import half_unit, printed_interval
-from trustlab.reproduction.published import (
-    printed_pilot,
-    published_facts,
-    published_folder,
-    published_table,
-)
+from trustlab.reproduction.published import published_facts, published_table
 from trustlab.reproduction.published_study import published_studies
 
 PARTICIPANTS = ("1", "2", "3", "4", "5")
 TABLES = ("2.1", "2.2", "2.3", "2.4", "2.5", "2.6", "3.1")
-CONDITIONS = {"uav": ("C1", "C2", "C3", "C4", "C5"), "teleop": ("M", "OMI", "MMI", "TMIG")}
 
 # Printed words that stand for a number or a rank.
 WORDS = published_facts("words")
@@ -57,8 +51,8 @@ class PrintedNumber:
     def value(self) -> float:
         """The number; NaN for a word that stands for none."""
         try:
-            return WORDS.get(self.printed.lower()) or float(Decimal(self.printed.lstrip("<>")))
-        except InvalidOperation:
+            return WORDS.get(self.printed.lower()) or float(self.printed.lstrip("<>"))
+        except ValueError:
             return math.nan
 
     @property
@@ -86,18 +80,6 @@ class PrintedNumber:
             return printed_interval(self.printed)
         reach = self.half * (1.0 + 1e-9)  # a value on the edge may miss it by its own rounding
         return self.value - reach, self.value + reach
-
-
-def study_names(numbers: Mapping[str, PrintedNumber]) -> list[str]:
-    """Return the names of the printed studies, for example "uav.tlx"."""
-    return [id.removesuffix("/n") for id in numbers if id.endswith("/n")]
-
-
-def conditions_of(study: str) -> tuple[str, ...]:
-    """
-    Return all conditions of a study of Section 2.4.2 or 3.9, also where a mean is not printed.
-    """
-    return CONDITIONS[study.split(".")[0]]
 
 
 def _tables() -> Iterator[PrintedNumber]:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.reproduction.audit.catalogue import PARTICIPANTS, PrintedNumber, conditions_of
+from trustlab.reproduction.audit.catalogue import PARTICIPANTS, PrintedNumber
 
 # Names of printed numbers that formulas write as letters.
 LETTERS = {"ε": "epsilon", "χ2": "chi2", "β": "beta"}
@@ -16,6 +16,9 @@ LETTERS = {"ε": "epsilon", "χ2": "chi2", "β": "beta"}
 VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
 
 INSIDE = 1000  # points inside a box of rounding
+
+# How many conditions the studies of Sections 2.4.2 and 3.9 have.
+CONDITIONS = {"uav": 5, "teleop": 4}
 
 Numbers = Mapping[str, PrintedNumber]
 Span = tuple[float, float, float]
@@ -70,61 +73,56 @@ class NotPrintedError(AttributeError):
     """A formula uses a symbol for which no number is printed."""
 
 
-class Place:
-    """
-    Where the symbols of a formula about a number stand.
-
-    They are looked for beside it or among those of its participant, in its study, and in the
-    folder that the relation names; its `ids` say where a symbol stands otherwise.
-    """
-
-    def __init__(self, relation: "Follows | Allows", numbers: Numbers) -> None:
-        self.numbers, self._ids, self._end = numbers, relation.ids, ""
-        folder, _, _ = relation.of.rpartition("/")
-        _, _, last = f"{relation.of}{relation.suffix}".rpartition("/")
-        tests = ("", "anova.", "mauchly.", "t_test.") if f"{folder}/n" in numbers else ("",)
-        self.folders = [f"{folder}/{test}" for test in tests]
-        if last in PARTICIPANTS:
-            self.folders, self._end = ["table_2.1/", "table_2.2/"], f"/{last}"
-        self.folders.append(f"{relation.beside}/")
-
-    def where(self, symbol: str, ids: Mapping[str, str]) -> dict[str, str]:
-        """Return the id of a symbol, or by x_1, x_2 … those of several."""
-        pattern = {**self._ids, **ids}.get(symbol, "").replace("./", self.folders[0], 1)
-        if not pattern:
-            name = f"{LETTERS.get(symbol, symbol)}{self._end}"
-            beside = [id for x in self.folders if (id := f"{x}{name}") in self.numbers]
-            return {symbol: beside[0]} if beside else {}
-        if pattern in self.numbers:
-            return {symbol: pattern}
-        start = min(pattern.partition(sign)[0] for sign in "*[")
-        found = matching(self.numbers, pattern)
-        return {f"{symbol}_{id.removeprefix(start).partition('/')[0]}": id for id in found}
-
-
 class Values:
     """
-    Printed numbers by the symbols of a formula, as attributes; notes which are used.
+    Printed numbers by the symbols of a formula, as attributes; `used` has the ids of those used.
 
-    A symbol that stands for several numbers is their stack along a new first axis. `arrays` by
-    symbol take the place of printed values. k is the number of conditions of a study.
+    They are looked for beside the number that is checked, in its study, or among those of its
+    participant, and in the folder that the relation names; `ids` say where a symbol stands
+    otherwise. A symbol that stands for several numbers is their stack along a new first axis.
+    `arrays` by symbol take the place of printed values. k is the number of conditions of a study.
     """
 
-    def __init__(self, place: Place, ids: Mapping[str, str], arrays: Mapping | None = None) -> None:
-        self._place, self._ids, self._arrays = place, ids, arrays
+    def __init__(
+        self,
+        relation: "Follows | Allows",
+        numbers: Numbers,
+        ids: Mapping[str, str],
+        arrays: Mapping | None = None,
+    ) -> None:
+        self._numbers, self._ids, self._arrays = numbers, {**relation.ids, **ids}, arrays
+        self._folder, _, _ = relation.of.rpartition("/")
+        _, _, last = f"{relation.of}{relation.suffix}".rpartition("/")
+        tests = ("", "anova.", "mauchly.", "t_test.")
+        self._beside, self._end = [f"{self._folder}/{test}" for test in tests], ""
+        if last in PARTICIPANTS:
+            self._beside, self._end = ["table_2.1/", "table_2.2/"], f"/{last}"
+        self._beside.append(f"{relation.beside}/")
         self.used: dict[str, str] = {}
+
+    def _where(self, symbol: str) -> dict[str, str]:
+        """Return the id of a symbol, or by x_1, x_2 … those of several."""
+        pattern = self._ids.get(symbol, "").replace("./", f"{self._folder}/", 1)
+        if not pattern:
+            name = f"{LETTERS.get(symbol, symbol)}{self._end}"
+            beside = [id for x in self._beside if (id := f"{x}{name}") in self._numbers]
+            return {symbol: beside[0]} if beside else {}
+        if pattern in self._numbers:
+            return {symbol: pattern}
+        start = min(pattern.partition(sign)[0] for sign in "*[")
+        found = matching(self._numbers, pattern)
+        return {f"{symbol}_{id.removeprefix(start).partition('/')[0]}": id for id in found}
 
     def __getattr__(self, symbol: str) -> Any:
         """Return the value of a symbol, or the values of the numbers that it stands for."""
-        place = self._place
         if symbol == "k":
-            return len(conditions_of(place.folders[0]))
-        named = place.where(symbol, self._ids)
+            return CONDITIONS[self._folder.partition(".")[0]]
+        named = self._where(symbol)
         if not named:
             raise NotPrintedError(symbol)
         self.used |= named
-        printed = {x: np.asarray(place.numbers[id].value) for x, id in named.items()}
-        values = [(self._arrays or printed)[x] for x in named]
+        arrays = self._arrays or {x: np.asarray(self._numbers[id].value) for x, id in named.items()}
+        values = [arrays[x] for x in named]
         return values[0] if symbol in named else np.stack(values)
 
 
@@ -144,30 +142,36 @@ class Formula:
     ids: Mapping[str, str] = field(default_factory=dict)
     as_printed: tuple[str, ...] = ()
 
-    def at(self, place: Place, arrays: Mapping | None = None) -> tuple[Any, dict[str, str]]:
-        """Return the value, at arrays of inputs unless as printed, and the ids of the inputs."""
-        values = Values(place, self.ids, arrays)
+    def at(
+        self, relation: "Follows | Allows", numbers: Numbers, arrays: Mapping | None = None
+    ) -> tuple[Any, dict[str, str]]:
+        """
+        Return the value in a relation, at arrays of inputs unless as printed, and the ids of the
+        inputs.
+        """
+        values = Values(relation, numbers, self.ids, arrays)
         with np.errstate(all="ignore"):
             return self.compute(values), values.used
 
-    def range(self, place: Place) -> Span:
+    def range(self, relation: "Follows | Allows", numbers: Numbers) -> Span:
         """
         Return the value, and its least and greatest when every input varies within its rounding.
 
         Exact for functions that are monotone in each input, as nearly all here are; NaN (an
         impossible input) is passed over.
         """
-        numbers = {symbol: place.numbers[id] for symbol, id in self.at(place)[1].items()}
-        vary = [x for x, number in numbers.items() if number.half > 0 and x not in self.as_printed]
+        inputs = {x: numbers[id] for x, id in self.at(relation, numbers)[1].items()}
+        vary = [x for x, number in inputs.items() if number.half > 0 and x not in self.as_printed]
         # The middle, all corners, and points inside, the same at every call, where a function that
         # is not monotone may turn.
         corners = np.array(list(product((-1.0, 1.0), repeat=len(vary))))
         inside = np.random.default_rng(0).uniform(-1.0, 1.0, (INSIDE, len(vary)))
         points = np.concatenate([np.zeros((1, len(vary))), corners, inside])
-        arrays = {x: np.full(len(points), number.value) for x, number in numbers.items()}
+        arrays = {x: np.full(len(points), number.value) for x, number in inputs.items()}
         for x, offsets in zip(vary, points.T, strict=True):
-            arrays[x] = numbers[x].value + numbers[x].half * offsets
-        reached = np.broadcast_to(np.asarray(self.at(place, arrays)[0], float), len(points))
+            arrays[x] += inputs[x].half * offsets
+        value, _ = self.at(relation, numbers, arrays)
+        reached = np.broadcast_to(np.asarray(value, float), len(points))
         known = reached[~np.isnan(reached)]
         return (
             (float(reached[0]), float(known.min()), float(known.max())) if known.size else NOTHING
@@ -232,7 +236,7 @@ class Follows(Formula, Relation):
         Return the verdict: "reproduced" if some convention gives the printed number, "within
         rounding" if only its range reaches it, else "differs".
         """
-        number, place = numbers[self.of], Place(self, numbers)
+        number = numbers[self.of]
         target = self.target or number.compatible
         if isinstance(target, Mapping):
             if number.printed not in target:
@@ -240,19 +244,16 @@ class Follows(Formula, Relation):
                 raise ValueError(f"{number.id} must be one of {words}, got {number.printed!r}")
             target = target[number.printed]
         least, most = target
-        ways = [(way, way.range(place)) for way in (self, *self.conventions)]
+        ways = [(way, way.range(self, numbers)) for way in (self, *self.conventions)]
         hit = [(way, span) for way, span in ways if least <= span[0] <= most]
         near = [(way, span) for way, span in ways if span[1] <= most and span[2] >= least]
         way, span = (hit or near or ways)[0]
         verdict, reason, cause = "reproduced", f"{way.result(span[0], number)}.", ""
         if not hit:
-            causes = ((x, x.range(place)[0]) for x in self.explanations)
-            named = (
-                f"Probably {x.label}: {x.text} = {show(value, number, 2)}."
-                for x, value in causes
-                if least <= value <= most
-            )
-            cause = next(named, "")
+            for x in self.explanations:
+                value, _ = x.at(self, numbers)
+                if not cause and least <= value <= most:
+                    cause = f"Probably {x.label}: {x.text} = {show(value, number, 2)}."
             verdict = "not checkable" if self.binding else "differs"
             reason = self._missed(number, ways)
         if near and not hit:
@@ -272,7 +273,7 @@ class Follows(Formula, Relation):
             id=number.id + self.suffix,
             quantity=self.quantity,
             formula=way.text,
-            inputs=listing(way.at(place)[1], numbers),
+            inputs=listing(way.at(self, numbers)[1], numbers),
         )
 
     def _missed(self, number: PrintedNumber, ways: list) -> str:
@@ -300,10 +301,10 @@ class Allows(Formula, Relation):
 
     def row(self, numbers: Numbers) -> Row:
         """Return the verdict: "not checkable" inside the range, "differs" outside."""
-        number, place = numbers[self.of], Place(self, numbers)
+        number = numbers[self.of]
 
         def reached(end: int) -> Span:
-            return replace(self, compute=lambda v: self.compute(v)[end]).range(place)
+            return replace(self, compute=lambda v: self.compute(v)[end]).range(self, numbers)
 
         (at_least, low, _), (at_most, _, high) = reached(0), reached(1)
         ends = f"{show(low)} to {show(high)}"
@@ -326,5 +327,5 @@ class Allows(Formula, Relation):
             verdict,
             (np.nan, low, high),
             formula=self.text,
-            inputs=listing(self.at(place)[1], numbers),
+            inputs=listing(self.at(self, numbers)[1], numbers),
         )

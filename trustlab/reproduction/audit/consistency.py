@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from trustlab.reproduction.audit.catalogue import PrintedNumber, study_names
+from trustlab.reproduction.audit.catalogue import PrintedNumber
 from trustlab.reproduction.audit.check import Numbers, Row, listing, row_about
 from trustlab.reproduction.printed import ROUNDINGS
 from trustlab.reproduction.published import published_facts
@@ -41,10 +41,9 @@ PEOPLE = {
 def study_conflicts(numbers: Numbers) -> dict[str, str]:
     """Return numbers of studies that others contradict however p was adjusted, with the reason."""
     conflicts = {}
-    for name in study_names(numbers):
-        ids = [id for id in numbers if id.startswith(f"{name}/")]
-        texts = tuple((id, numbers[id].printed) for id in ids)
-        conflicts |= _conflicts(name, int(numbers[f"{name}/n"].value), texts)
+    for name in published_studies():
+        texts = ((id, x.printed) for id, x in numbers.items() if id.startswith(f"{name}/"))
+        conflicts |= _conflicts(name, int(numbers[f"{name}/n"].value), tuple(texts))
     return conflicts
 
 
@@ -147,25 +146,21 @@ def remarks(numbers: Numbers, conflicts: Mapping[str, str]) -> Iterator[Row]:
         if limits[id] != mode(limits.values()):
             remark = "most of its kind have another bound; probably a zero is missing."
             yield row_about(numbers[id], f"Suspicious: {remark}")
+    ends = ("chi2", "p", "df")
     tests = {
-        study: [
-            numbers[id].printed
-            for end in ("chi2", "p")
-            if (id := f"{study}/mauchly.{end}") in numbers
-        ]
-        for study in study_names(numbers)
+        study: [numbers[f"{study}/mauchly.{end}"] for end in ends]
+        for study, printed in published_studies().items()
+        if printed.mauchly.keys() >= {*ends}
     }
-    for first, second in combinations(tests, 2):
-        if len(tests[first]) == 2 and tests[first] == tests[second]:
-            chi2, p = tests[second]
-            number, df = (numbers[f"{second}/mauchly.{end}"] for end in ("chi2", "df"))
-            chance = float(np.diff(stats.chi2.cdf(number.compatible, df.value))[0])
+    for (first, test), (_, (chi2, p, df)) in combinations(tests.items(), 2):
+        if [chi2.printed, p.printed] == [x.printed for x in test[:2]]:
+            chance = np.diff(stats.chi2.cdf(chi2.compatible, df.value)).item()
             reason = (
-                f"Suspicious: χ² = {chi2} and p = {p} are printed for {first} as well; under "
-                "sphericity two measures agree so closely with a chance of about 1 in "
+                f"Suspicious: χ² = {chi2.printed} and p = {p.printed} are printed for {first} as "
+                "well; under sphericity two measures agree so closely with a chance of about 1 in "
                 f"{1.0 / chance:.0f}. Probably one was copied from the other."
             )
-            yield row_about(number, reason, id=f"{number.id}/duplicate")
+            yield row_about(chi2, reason, id=f"{chi2.id}/duplicate")
 
 
 # Where numbers are printed a second time, their first place, and its name.

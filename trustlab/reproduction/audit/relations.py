@@ -8,7 +8,7 @@ conditions. `ids` says where a symbol stands otherwise, "./" beside the number, 
 it several.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from fnmatch import filter as matching
 from typing import Any
@@ -25,6 +25,7 @@ from trustlab.allocation.limits import limits_as_printed
 from trustlab.models.tsc import TscConstants, gain_of_human_performance, performance_weights
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, rows_of
 from trustlab.reproduction.audit.check import Allows, Follows, Formula, Numbers
+from trustlab.reproduction.printed import greatest_sd
 from trustlab.studies.anova import mauchly_factor, mauchly_p_value
 
 INFINITE = float("inf")
@@ -130,10 +131,21 @@ def lies_above(of: str, higher: str, lower: str, column: str) -> Follows:
     )
 
 
-def spread_of_participant_3(v: Any) -> np.ndarray:
-    """Return σ_l + σ_u of participant 3 less the greatest of the others."""
-    spread = v.l + v.u
-    return spread[2] - np.delete(spread, 2, axis=0).max(axis=0)
+def spreads_apart(of: str, p: str, claim: str, **checked: Any) -> Follows:
+    """Return how far the captured thresholds of a participant lie apart, less their SDs."""
+    return Follows(
+        f"section_2_4_1_3/{of}",
+        "(μ_u − σ_u) − (μ_l + σ_l)",
+        lambda v: v.u_mean - v.u_sd - v.l_mean - v.l_sd,
+        ids={f"{end}_{x}": f"table_2.3/TSC_{end}.{x}/{p}" for end in "ul" for x in ("mean", "sd")},
+        quantity=f"μ ± σ of TSC_l and TSC_u {claim}, participant {p}",
+        **checked,
+    )
+
+
+def epsilon(v: Any) -> Any:
+    """Return the printed ε, 1 where the degrees of freedom are not corrected."""
+    return getattr(v, "ε", 1.0)
 
 
 def against_mmi(scheme: str) -> dict[str, str]:
@@ -147,24 +159,19 @@ def analysed(v: Any) -> np.ndarray:
     return v.participants - v.dropped
 
 
-def left_over(orders: int) -> Callable[[Any], np.ndarray]:
-    """Return how many participants are more than whole squares of so many orders need."""
-    return lambda v: v.participants % orders
-
-
 def sd_limits(of: str, participants: str, low: float, high: float) -> Allows:
     """Return that an SD is at most that of scores at the ends of the scale, with the mean."""
     most = "all scores but one at the lowest"
     if high < INFINITE:
         most = f"all scores at the ends of the scale, {low:g} to {high:g}"
 
-    def ends(v: Any) -> tuple:
-        if high == INFINITE:
-            return 0, (v.M - low) * np.sqrt(v.n)
-        return 0, np.sqrt(np.maximum((v.M - low) * (high - v.M), 0.0) * v.n / (v.n - 1))
-
     ids = {"M": f"./{of.rpartition('/')[2]}_mean", "n": participants}
-    return Allows(f"{of}_sd", f"0 … {most}", ends, ids=ids)
+    return Allows(
+        f"{of}_sd",
+        f"0 … {most}",
+        lambda v: (0, greatest_sd((v.M, v.M), v.n, (low, high))),
+        ids=ids,
+    )
 
 
 def mean_limits(p: str) -> Allows:
@@ -181,6 +188,29 @@ def mean_limits(p: str) -> Allows:
 def lower_limit(v: Any) -> np.ndarray:
     """Return TSC_lb by (2.9)."""
     return limits(v, robot_gain(v))[0]
+
+
+def square(section: str, group: str, orders: int) -> Follows:
+    """Return that participants fill whole squares of so many orders."""
+    return Follows(
+        f"{section}/square",
+        f"participants modulo {orders}",
+        lambda v: v.participants % orders,
+        beside=group,
+        target=(0.0, 0.0),
+        note=f"A square balanced for order and carry-over has {orders} orders; those dropped "
+        "break the balance.",
+    )
+
+
+def ranked(i: int, measure: str, sign: int) -> Follows:
+    """Return that a scheme of Table 3.1 has its rank among all, 1 for the best."""
+    return Follows(
+        f"section_3_8_3/{SCHEMES[i]}_{measure}",
+        f"rank of {SCHEMES[i]}, the best first",
+        lambda v: 1.0 + (sign * v.x > sign * v.x[i]).sum(axis=0),
+        ids={"x": f"table_3.1/*/{measure}_mean"},
+    )
 
 
 def within_limits(of: str, binding: str, beside: str = "") -> Allows:
@@ -201,7 +231,22 @@ UPPER = "a'_3 P_h + b'_3 (2.10)"
 CHANGE = "100 |after − before|/before"
 FIVE = {"x": "./[1-5]"}
 
-MODELS: tuple[Follows | Allows, ...] = (
+USED = Formula(CHANGE, change, "the value of OMI was used", against_mmi("OMI"))
+LOWER = Follows(
+    "section_3_1/error",
+    CHANGE,
+    change,
+    "relative change",
+    against_mmi("TMIG"),
+    explanations=(USED,),
+)
+
+SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
+# Measures of Table 3.1, and 1 where more is better.
+RANKED = (("error", -1), ("tlx", -1), ("trust", 1), ("preference", 1))
+
+RELATIONS: tuple[Follows | Allows, ...] = (
+    # Models, limits and bounds of the participants.
     Follows("*/b_r*", "1 − a_r", lambda v: 1 - v.a_r),
     Follows("*/b_pr*", "(1 − a_pr)(P_r_max − P_r_min)/P_h_max", robot_gain),
     Follows(
@@ -281,53 +326,39 @@ MODELS: tuple[Follows | Allows, ...] = (
         ),
     ),
     Follows("table_2.2/r_u/*", "r_u of (2.33)", lambda v: utilization(v)[1]),
-)
-
-
-def thresholds_of(p: str) -> Iterator[Follows]:
-    """Return what the text says of the thresholds of a participant."""
-    yield Follows(
-        "section_2_4_1_2/enclose_beta",
-        "min(β − r_l, r_u − β)",
-        lambda v: np.minimum(v.β - v.r_l, v.r_u - v.β),
-        suffix=f"/{p}",
-        quantity=f"r_l ≤ β ≤ r_u, participant {p}",
-        target=AT_LEAST_0,
-    )
-    yield Follows(
-        "section_2_4_1_2/limits",
-        "least gap in TSC_lb < TSC_l < TSC_u < TSC_ub",
-        lambda v: np.min([v.TSC_l - v.TSC_lb, v.TSC_u - v.TSC_l, v.TSC_ub - v.TSC_u], axis=0),
-        suffix=f"/{p}",
-        quantity=f"TSC_lb < TSC_l < TSC_u < TSC_ub, participant {p}",
-        target=POSITIVE,
-    )
-    apart = Follows(
-        "section_2_4_1_3/follow",
-        "(μ_u − σ_u) − (μ_l + σ_l)",
-        lambda v: v.u_mean - v.u_sd - v.l_mean - v.l_sd,
-        ids={f"{end}_{x}": f"table_2.3/TSC_{end}.{x}/{p}" for end in "ul" for x in ("mean", "sd")},
-        suffix=f"/{p}",
-        quantity=f"μ ± σ of TSC_l and TSC_u apart, participant {p}",
-        target=AT_LEAST_0,
-    )
-    if p == "3":
-        apart = replace(
-            apart,
-            of="section_2_4_1_3/not_distinguishable",
-            suffix="",
-            quantity="μ ± σ of TSC_l and TSC_u overlap, participant 3",
-            target=(-INFINITE, 0.0),
+    # Case study I.
+    *(
+        Follows(
+            "section_2_4_1_2/enclose_beta",
+            "min(β − r_l, r_u − β)",
+            lambda v: np.minimum(v.β - v.r_l, v.r_u - v.β),
+            suffix=f"/{p}",
+            quantity=f"r_l ≤ β ≤ r_u, participant {p}",
+            target=AT_LEAST_0,
         )
-    yield apart
-
-
-CASE_STUDY: tuple[Follows | Allows, ...] = (
-    *(relation for p in PARTICIPANTS for relation in thresholds_of(p)),
+        for p in PARTICIPANTS
+    ),
+    *(
+        Follows(
+            "section_2_4_1_2/limits",
+            "least gap in TSC_lb < TSC_l < TSC_u < TSC_ub",
+            lambda v: np.min([v.TSC_l - v.TSC_lb, v.TSC_u - v.TSC_l, v.TSC_ub - v.TSC_u], axis=0),
+            suffix=f"/{p}",
+            quantity=f"TSC_lb < TSC_l < TSC_u < TSC_ub, participant {p}",
+            target=POSITIVE,
+        )
+        for p in PARTICIPANTS
+    ),
+    *(
+        spreads_apart("follow", p, "apart", suffix=f"/{p}", target=AT_LEAST_0)
+        for p in PARTICIPANTS
+        if p != "3"
+    ),
+    spreads_apart("not_distinguishable", "3", "overlap", target=(-INFINITE, 0.0)),
     Follows(
         "section_2_4_1_3/higher_sd",
         "σ_l + σ_u of participant 3 less the greatest of the others",
-        spread_of_participant_3,
+        lambda v: (v.l + v.u)[2] - np.delete(v.l + v.u, 2, axis=0).max(axis=0),
         ids={"l": "table_2.3/TSC_l.sd/*", "u": "table_2.3/TSC_u.sd/*"},
         target=POSITIVE,
     ),
@@ -359,17 +390,8 @@ CASE_STUDY: tuple[Follows | Allows, ...] = (
         ids=FIVE,
         conventions=(Formula("SD of the five", lambda v: v.x.std(axis=0), "divided by n"),),
     ),
-)
-
-
-def epsilon(v: Any) -> Any:
-    """Return the printed ε, 1 where the degrees of freedom are not corrected."""
-    return getattr(v, "ε", 1.0)
-
-
-# F, its degrees of freedom, ε, t and Mauchly's test of a study; each of ε and the degrees of
-# freedom follows from another.
-TESTS: tuple[Follows | Allows, ...] = (
+    # F, its degrees of freedom, ε, t and Mauchly's test of a study; each of ε and the degrees of
+    # freedom follows from another.
     Follows("*/anova.p", "P(F(df1, df2) > F)", lambda v: stats.f.sf(v.F, v.df1, v.df2)),
     Follows(
         "*/anova.eta2",
@@ -428,32 +450,7 @@ TESTS: tuple[Follows | Allows, ...] = (
         "least χ² at this ε … greatest χ² at this ε",
         lambda v: [chi2_of_epsilon(v.ε, v.n, v.k, greatest) for greatest in (False, True)],
     ),
-)
-
-USED = Formula(CHANGE, change, "the value of OMI was used", against_mmi("OMI"))
-LOWER = Follows(
-    "section_3_1/error",
-    CHANGE,
-    change,
-    "relative change",
-    against_mmi("TMIG"),
-    explanations=(USED,),
-)
-
-# What is counted, where, and the numbers of which there should be as many.
-COUNTED = (
-    ("printed ANOVAs", "section_2_4_2_4/anovas", "uav.*/anova.df1"),
-    ("printed ANOVAs", "section_3_9_4/anovas", "teleop.*/anova.df1"),
-    (
-        "printed measures of the UAV study, which has the same variables",
-        "section_2_4_1_2/variables",
-        "uav.*/n",
-    ),
-    ("rows of Table 3.1", "section_3_8_2/levels", "table_3.1/*/error_mean"),
-)
-SEVENTH = "The seventh, uav.followed, has two conditions and was compared by a t-test."
-
-PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
+    # Percentages and counts.
     Follows(
         "claim/section_3_8_1/f_i_for_a_delay_growing_at_most_0_5_s_s",
         "√(1 − Ṫ_max)",
@@ -489,14 +486,23 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         for scheme, suffix in (("OMI", ""), ("TMIG", "/TMIG"))
     ),
     *(
-        Follows(
-            of,
-            f"number of {counted}",
-            lambda v: len(v.x),
-            ids={"x": pattern},
-            note=SEVENTH if of == "section_2_4_2_4/anovas" else "",
+        Follows(of, f"number of {what}", lambda v: len(v.x), ids={"x": pattern}, note=note)
+        for of, what, pattern, note in (
+            (
+                "section_2_4_2_4/anovas",
+                "printed ANOVAs",
+                "uav.*/anova.df1",
+                "The seventh, uav.followed, has two conditions and was compared by a t-test.",
+            ),
+            ("section_3_9_4/anovas", "printed ANOVAs", "teleop.*/anova.df1", ""),
+            (
+                "section_2_4_1_2/variables",
+                "printed measures of the UAV study, which has the same variables",
+                "uav.*/n",
+                "",
+            ),
+            ("section_3_8_2/levels", "rows of Table 3.1", "table_3.1/*/error_mean", ""),
         )
-        for counted, of, pattern in COUNTED
     ),
     Follows(
         "uav.*/n",
@@ -517,21 +523,8 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         analysed,
         beside="section_3_9_2",
     ),
-    *(
-        Follows(
-            f"{section}/square",
-            f"participants modulo {orders}",
-            left_over(orders),
-            beside=group,
-            target=(0.0, 0.0),
-            note=f"A square balanced for order and carry-over has {orders} orders; those dropped "
-            "break the balance.",
-        )
-        for section, group, orders in (
-            ("section_2_4_2_2", "section_2_4_2_2", 10),
-            ("section_3_9_3", "section_3_9_2", 4),
-        )
-    ),
+    square("section_2_4_2_2", "section_2_4_2_2", 10),
+    square("section_3_9_3", "section_3_9_2", 4),
     # (3.10) at rest, of a handle of 50 g: no handle of a haptic device is so light.
     Allows(
         "section_3_*/B",
@@ -581,36 +574,8 @@ PERCENTAGES_AND_COUNTS: tuple[Follows | Allows, ...] = (
         note="The error rows of Appendix A with α = 0 diverge along x: the autonomous control "
         "alone is unstable.",
     ),
-)
-
-SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
-# Measures of Table 3.1, and 1 where more is better.
-RANKED = (("error", -1), ("tlx", -1), ("trust", 1), ("preference", 1))
-
-
-def rank_of(scheme: str, sign: int) -> Callable[[Any], np.ndarray]:
-    """Return how a scheme's rank among all is computed, 1 for the best."""
-    i = SCHEMES.index(scheme)
-    return lambda v: 1.0 + (sign * v.x > sign * v.x[i]).sum(axis=0)
-
-
-RANKS = tuple(
-    Follows(
-        f"section_3_8_3/{scheme}_{measure}",
-        f"rank of {scheme}, the best first",
-        rank_of(scheme, sign),
-        ids={"x": f"table_3.1/*/{measure}_mean"},
-    )
-    for scheme in SCHEMES
-    for measure, sign in RANKED
-)
-
-RELATIONS: tuple[Follows | Allows, ...] = (
-    *MODELS,
-    *CASE_STUDY,
-    *TESTS,
-    *PERCENTAGES_AND_COUNTS,
-    *RANKS,
+    # Ranks in Table 3.1.
+    *(ranked(i, measure, sign) for i in range(len(SCHEMES)) for measure, sign in RANKED),
 )
 
 RELATIVE = Formula(CHANGE, change, "relative change")

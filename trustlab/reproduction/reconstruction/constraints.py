@@ -36,8 +36,14 @@ class Constraint(NamedTuple):
     @property
     def is_p(self) -> bool:
         """Whether it is a p-value."""
-        tests = ("anova.p", "mauchly.p", "mauchly.violated", "t_test.p")
-        return self.name.startswith("pairs.") or self.name in tests
+        tests = "anova.p", "mauchly.p", "mauchly.violated", "t_test.p", "pairs."
+        return self.name.startswith(tests)
+
+    @property
+    def size(self) -> "Constraint":
+        """The constraint on its magnitude."""
+        least, most = sorted((abs(self.low), abs(self.high)))
+        return self._replace(low=0.0 if self.low < 0.0 < self.high else least, high=most)
 
 
 class Reading(NamedTuple):
@@ -84,14 +90,6 @@ def readings(study: PublishedStudy) -> Iterator[Reading]:
             yield Reading(words, True, True, float(rounded))
 
 
-def size_interval(text: str) -> tuple[float, float]:
-    """
-    Return the interval of a printed number's magnitude: which condition is first is not printed.
-    """
-    low, high = printed_interval(text)
-    return (0.0 if low < 0.0 < high else min(abs(low), abs(high))), max(abs(low), abs(high))
-
-
 def constraints(study: PublishedStudy) -> list[Constraint]:
     """
     Return a constraint per printed number.
@@ -100,11 +98,8 @@ def constraints(study: PublishedStudy) -> list[Constraint]:
     `listed_only` is set.
     """
     rows = [Constraint(*row) for row in study.table().itertuples(name=None)]
-    rows = [
-        row._replace(low=low, high=high) if row.name == "t_test.t" else row
-        for row in rows
-        for low, high in [size_interval(row.text)]
-    ]
+    # Which condition of a t-test is first is not printed.
+    rows = [row.size if row.name == "t_test.t" else row for row in rows]
     if study.not_spherical and 2 < study.k <= study.n and not {"chi2", "p"} & study.mauchly.keys():
         text = f"sphericity violated, p < {ALPHA}"
         rows.append(Constraint("mauchly.violated", text, 0.0, ALPHA))
