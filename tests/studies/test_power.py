@@ -288,3 +288,10 @@ def test_factors_of_means_stand_in_their_order():
     means = TWO_WAY.rename_axis(index=["difficulty", "autonomy"])
     with pytest.raises(ValueError, match="mean must be indexed by autonomy, difficulty, in this"):
         tl.power_analysis(means, graded_covariance(6), columns=FACTORS, simulation=SMALL)
+
+
+def test_groups_alone_are_no_study_within_subjects():
+    """They were analysed as conditions of the same people."""
+    groups = StudyColumns(within=[], between="group")
+    with pytest.raises(ValueError, match="within must name a factor"):
+        tl.power_analysis([0.0, 1.0], np.eye(2), columns=groups, n=20, simulation=SMALL)

@@ -303,4 +303,7 @@ def _pilot(data: pd.DataFrame, columns: StudyColumns) -> tuple[pd.Series, pd.Dat
 def factors_of(columns: StudyColumns) -> list[Hashable]:
     """Return the factors of a study, those between subjects first."""
     of_class("columns", columns, StudyColumns)
-    return [*names_of(columns.between), *names_of(columns.within)]
+    within = names_of(columns.within)
+    if not within:
+        raise ValueError("columns: within must name a factor")
+    return [*names_of(columns.between), *within]
