@@ -290,6 +290,13 @@ def test_factors_of_means_stand_in_their_order():
         tl.power_analysis(means, graded_covariance(6), columns=FACTORS, simulation=SMALL)
 
 
+def test_a_covariance_without_names_is_in_the_order_of_the_cells():
+    """It went to other cells where means were listed otherwise."""
+    shuffled = TWO_WAY.iloc[[3, 0, 1, 2, 4, 5]]
+    with pytest.raises(ValueError, match="list the cells of mean with the last factor varying"):
+        tl.power_analysis(shuffled, np.eye(6), columns=FACTORS, simulation=SMALL)
+
+
 def test_groups_alone_are_no_study_within_subjects():
     """They were analysed as conditions of the same people."""
     groups = StudyColumns(within=[], between="group")

@@ -15,6 +15,7 @@ import pytest
 
 import trustlab as tl
 from tests.studies.scores import drawn
+from trustlab.publishing.tables import table_html
 from trustlab.studies.words import printed
 
 mpl.use("Agg")
@@ -177,3 +178,45 @@ def test_heads_name_the_level_of_intervals(tmp_path):
     text = study.write(tmp_path / "r.tex").read_text()
     assert r"90\% CI" in text
     assert r"95\% CI" not in text
+
+
+def test_every_head_names_the_level_of_its_intervals(fit):
+    """They said 95 % whatever it was."""
+    analysis = tl.repeated_measures(ONE, **PART)
+    simulation = tl.studies.Simulation(replicates=100, level=0.8)
+    population = [0.0, 1.0], np.eye(2)
+    plan = tl.smallest_n(0.5, *population, simulation=simulation)
+    power = tl.power_analysis(*population, simulation=simulation)
+    tables = {
+        80: [analysis.pairs(confidence=0.8), plan.table(), power.table(), fit.table(0.8)],
+        90: [tl.equivalence(ONE, **PART, bound=1.0)],
+        95: [analysis.pairs(), fit.table()],
+    }
+    for level, of_level in tables.items():
+        for table in of_level:
+            assert f"{level}% CI low" in printed(table), table
+            assert f"{level} % CI, from" in table_html(table)
+    both = {name: tl.paired_t_test(ONE, **PART, confidence=name) for name in (0.8, 0.9)}
+    (mixed,) = tl.report(both).tables.values()
+    assert "CI low" in printed(mixed)
+
+
+def test_a_column_whose_name_begins_with_p_holds_no_p_values():
+    """Robot performance was printed as a p-value."""
+    text = printed(pd.DataFrame({"p_r": [1.0, 0.35], "p_h": [-0.2, 0.41], "shapiro_p": 0.17}))
+    assert text["p r"].tolist() == ["1.00", "0.35"]
+    assert text["p h"].tolist() == ["−0.20", "0.41"]
+    assert text["shapiro p"].tolist() == [".170"] * 2
+
+
+@pytest.mark.parametrize(
+    ("frame", "more", "words"),
+    [
+        (lambda: one_way().result, {"alpha": 0.01, "within": "scheme"}, "within, alpha: a result"),
+        (lambda: {"a": one_way().result}, {"dv": "score"}, "dv: a result is printed as it is"),
+        (frame_of, {"subject": "person"}, "subject: a result"),
+    ],
+)
+def test_what_has_no_effect_on_a_result_is_refused(frame, more, words):
+    with pytest.raises(ValueError, match=words):
+        tl.report(frame(), **more)

@@ -25,7 +25,9 @@ def with_intervals(table: pd.DataFrame, level: float, degrees_of_freedom: float)
     """Add columns ci_low and ci_high to a table with columns value and stderr: t intervals."""
     level = open_unit("level", level)
     half = special.stdtrit(degrees_of_freedom, 0.5 + level / 2.0) * table["stderr"]
-    return table.assign(ci_low=table["value"] - half, ci_high=table["value"] + half)
+    table = table.assign(ci_low=table["value"] - half, ci_high=table["value"] + half)
+    table.attrs["confidence"] = level
+    return table
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,8 @@ import numpy as np
 import pandas as pd
 
 from trustlab.identification.posterior.result import WORDS
+from trustlab.studies.words import P_VALUE
 
-P_VALUE = re.compile(
-    r"p|p, .*|mauchly_p"
-    r"|p[ _](gg|hf|holm|bonferroni|corrected|adjusted|uncorrected|value|mauchly|anova|friedman"
-    r"|mixed|shapiro_least|simulated|chi2)"
-)
 # Columns whose decimals are those of the standard error of their row.
 ESTIMATE = re.compile(
     "stderr|se|M|ci_high|ci_low|difference|estimate|mean|mean_difference|simulated|value"
@@ -63,7 +59,9 @@ def table_html(frame: pd.DataFrame) -> str:
     columns = [_column(name, column, errors) for name, column in frame.items()]
     texts = pd.DataFrame(dict(enumerate(columns)), index=frame.index)
     texts.columns = frame.columns
-    table = texts.rename(columns=lambda name: html.escape(_word(name))).to_html(
+    level = f"{100.0 * frame.attrs.get('confidence', 0.95):g} % CI"
+    heads = texts.rename(columns=lambda name: html.escape(_word(name).replace("95 % CI", level)))
+    table = heads.to_html(
         index=not plain, escape=False, border=0, sparsify=plain, max_rows=MOST_ROWS
     )
     head = f"><caption>{html.escape(caption)}</caption>" if caption else ">"

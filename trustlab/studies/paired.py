@@ -214,7 +214,8 @@ def equivalence(
         ci_high=pairs["ci_high"],
         equivalent=p < alpha,
     )
-    return labelled(table, result.origin, excluded=result.excluded)
+    level = pairs.attrs["confidence"]
+    return labelled(table, result.origin, excluded=result.excluded, confidence=level)
 
 
 def bayes_factor(

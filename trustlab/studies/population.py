@@ -267,9 +267,14 @@ def population_of(
                 f"{named}"
             )
         levels = {name: (*means.index.unique(i),) for i, name in enumerate(factors)}
-        means = means.reindex(pd.MultiIndex.from_product(levels.values()))
+        means, rows = means.reindex(pd.MultiIndex.from_product(levels.values())), means.index
         for cell in means.index[means.isna()]:
             raise ValueError(f"mean: no number for cell {cell!r} of {factors}")
+        if not known and not rows.equals(means.index):
+            raise ValueError(
+                "covariance is an array in the order of mean: list the cells of mean with the last "
+                "factor varying fastest, or name the rows and columns of covariance"
+            )
         between = {name: levels.pop(name) for name in names_of(columns.between)}
     labels = cells_of(levels)
     if known:

@@ -402,13 +402,11 @@ def power_analysis(
             ]
     if not rows:
         raise ValueError("n, effect_size or epsilon is empty: give a number")
-    origin = population.simulated_origin
-    return PowerAnalysis(
-        population,
-        simulation,
-        labelled(pd.DataFrame(rows), origin),
-        labelled(pd.DataFrame(together), origin),
-    )
+    tables = [
+        labelled(pd.DataFrame(each), population.simulated_origin, confidence=simulation.level)
+        for each in (rows, together)
+    ]
+    return PowerAnalysis(population, simulation, *tables)
 
 
 # --- the smallest n -------------------------------------------------------------------------------
@@ -552,5 +550,6 @@ def smallest_n(
         low, high = (low, n) if found(n)["power"] >= target else (n, high)
     row = {"test": f"{name}, {test}", "wanted": target, "n": high, **found(high)}
     row["whole_squares"] = participants_needed(len(population.labels), high)
-    table = labelled(pd.DataFrame([row]), population.simulated_origin)
+    origin, level = population.simulated_origin, simulation.level
+    table = labelled(pd.DataFrame([row]), origin, confidence=level)
     return SmallestN(table, population, simulation)

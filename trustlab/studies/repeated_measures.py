@@ -200,7 +200,7 @@ class RepeatedMeasures(Tested):
             both = 0.5 * self.scores.std() @ np.abs(cells)
             d_av = difference / np.where(both > 0.0, both, np.nan)
             table = table.drop(columns="level").assign(d_av=d_av)
-        return labelled(table, self.origin)
+        return labelled(table, self.origin, confidence=level)
 
     def residual_covariance(self) -> np.ndarray:
         """Return the covariance of the cells, given the groups."""

@@ -155,6 +155,14 @@ def report(
     >>> study.result.n, study.result.k
     (36, 5)
     """
+    given = {"within": within, "subject": subject, **options}
+    if isinstance(frame, Mapping):
+        given["dv"], dv = dv, None
+    unused = [name for name, value in given.items() if value is not None]
+    if dv is None and unused:
+        raise ValueError(
+            f"{', '.join(unused)}: a result is printed as it is; these are for a table with dv="
+        )
     if isinstance(frame, Mapping):
         return _side_by_side(frame, of_class("thresholds", thresholds or {}, dict))
     if thresholds is not None:

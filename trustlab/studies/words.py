@@ -53,6 +53,12 @@ _ESTIMATES = {"value", "estimate", "mean", "mean_difference", "stderr", "se", "s
 _ESTIMATES |= {"ci_low", "ci_high"}
 # Columns of levels, which are not rounded where they are numbers.
 _LEVELS = ["a", "b", "level", "condition"]
+# Columns of p-values, and their heads.
+P_VALUE = re.compile(
+    r"p|p, .*|mauchly_p|shapiro_p"
+    r"|p[ _](gg|hf|holm|bonferroni|corrected|adjusted|uncorrected|value|mauchly|anova|friedman"
+    r"|mixed|shapiro_least|simulated|chi2|low|high)"
+)
 
 
 def apa_number(value: float, digits: int = 2, *, below_one: bool = False) -> str:
@@ -96,7 +102,8 @@ def printed(table: pd.DataFrame) -> pd.DataFrame:
     """
     Return a table of texts with the heads and roundings of a paper; NaN is an empty text.
 
-    Columns p, ``p_…`` and ``mauchly_p…`` hold p-values. Estimates have as many decimals, at least
+    Intervals have the level of a column `confidence` or of the table's attrs, 95 % without; none
+    in the head where rows differ. Estimates have as many decimals, at least
     two, as show two digits of their standard error, or else of the interval's half width or the
     standard deviation; other numbers as many as show two digits of a typical one.
 
@@ -114,16 +121,16 @@ def printed(table: pd.DataFrame) -> pd.DataFrame:
     for name in texts.columns.intersection(["parameter", "correction"]):
         texts[name] = texts[name].map(in_words)
     texts = texts.rename(columns=in_words)
-    if "confidence" in frame:
-        level = f"{100.0 * frame['confidence'].iloc[0]:g}%"
-        texts.columns = texts.columns.str.replace("95%", level)
+    levels = {*frame.get("confidence", [table.attrs.get("confidence", 0.95)])}
+    level = f"{100.0 * levels.pop():g}% " if len(levels) == 1 else ""
+    texts.columns = texts.columns.str.replace("95% ", level)
     return texts
 
 
 def _rounded(frame: pd.DataFrame, name: str) -> list[str]:
     """Return the numbers of a column as texts."""
     values = frame[name].to_numpy()
-    if name == "p" or name.startswith(("p_", "mauchly_p")):
+    if P_VALUE.fullmatch(name):
         return [apa_p(value).removeprefix("p ").removeprefix("= ") for value in values]
     if name.startswith(("eta2_", "epsilon_")):
         return [*map(share, values)]

@@ -370,6 +370,21 @@ def test_what_was_corrected_is_recognised(anova, p, epsilon, reading):
     assert textbook.misses(printed, values, *factors) == set()
 
 
+def test_a_corrected_p_may_be_greatest_inside_the_range_of_epsilon():
+    """
+    F(1.74, 33.06) = 1.52 has p = .234; at ε = 1/3 and 1 it is .233 and .219.
+    """
+    assert stats.f.sf(1.52, 3 * 0.58, 57 * 0.58) == pytest.approx(0.234, abs=5e-4)
+    study = tl.PublishedStudy(
+        "mine",
+        n=20,
+        mean={"C1": "3.7", "C2": "4.4", "C3": "4.3", "C4": "4.4"},
+        sd={"C1": "2.5", "C2": "2.2", "C3": "3.0", "C4": "2.1"},
+        anova={"F": "1.52", "p": ".234"},
+    )
+    assert contradictions(study) == {}
+
+
 def test_a_rounded_epsilon_is_recognised():
     anova = {**CORRECTED, "p": P_CORRECTED}
     printed = tl.PublishedStudy("s", **FOUR, anova=anova, epsilon="0.554")

@@ -49,7 +49,9 @@ def summary(draws: pd.DataFrame, level: float) -> pd.DataFrame:
     """Return mean, sd and interval of every column."""
     low, high = draws.quantile([0.5 - 0.5 * level, 0.5 + 0.5 * level]).to_numpy()
     columns = {"mean": draws.mean(), "sd": draws.std(), "ci_low": low, "ci_high": high}
-    return pd.DataFrame(columns).rename_axis("parameter")
+    table = pd.DataFrame(columns).rename_axis("parameter")
+    table.attrs["confidence"] = level
+    return table
 
 
 def interval_words(row: pd.Series) -> str:

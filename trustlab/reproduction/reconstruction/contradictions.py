@@ -67,7 +67,8 @@ def _under(study: PublishedStudy, reading: Reading) -> dict[str, str]:
     if "anova.p" in known and {"anova.F", "anova.eta2"} & known.keys():
         factor = np.array([reading.rounded or 1.0])
         if reading.p and not reading.rounded:
-            factor = np.clip(epsilon, 1.0 / (k - 1), 1.0)
+            # At a given F, p may be greatest between the ends of ε.
+            factor = np.linspace(*np.clip(epsilon, 1.0 / (k - 1), 1.0), 1001)
         df = (k - 1) * factor[:, None]
         p = special.fdtrc(df, df * (n - 1), f_ratio)
         wrong |= _contradicted(printed["anova.p"], p, "F and its degrees of freedom give")
