@@ -141,6 +141,12 @@ def test_an_incentive_of_ones_own():
     assert plan.gap == 0.0
 
 
+def test_an_incentive_may_leave_no_correction():
+    plan = corrector(incentive=lambda r, p_r, c_b, low, high: (0.0, 0.0)).step(0.6, 0.35, *START)
+    assert plan.status == "planned"
+    assert not plan.table()[["c_l", "c_u"]].iloc[:-1].any(axis=None)
+
+
 def test_an_incentive_that_fails_on_the_way_holds_the_thresholds():
     def late(r, p_r, c_b, p_min, p_max):
         return (0.1 if r > 0.95 else -0.1) * c_b, 0.5 * c_b

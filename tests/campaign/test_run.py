@@ -239,3 +239,9 @@ def test_dask_gives_the_table_of_the_serial_run(tmp_path):
 def test_runs_have_the_same_names():
     with pytest.raises(ValueError, match=r"run 0 has .*'a'.* and run 1 has .*'b'"):
         tl.run_campaign(dict, [{"a": 1}, {"b": 1}])
+
+
+@pytest.mark.parametrize("axes", [{}, {"x": []}, {"x": [1], "y": np.array([])}])
+def test_a_grid_without_values_is_refused(axes):
+    with pytest.raises(ValueError, match="give at least one value for each name"):
+        tl.parameter_grid(**axes)
