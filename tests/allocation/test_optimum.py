@@ -111,6 +111,22 @@ def test_a_pattern_is_what_simulation_says_and_none_is_better(operators):
     assert earned(tsc, run, 0.5) == pytest.approx(best.threshold_value, abs=0.3)
 
 
+def test_a_pattern_may_need_longer_phases_than_forty_least_ones(operators):
+    best = tl.optimal_allocation(operators["1"], weight=1.0, min_dwell=15.0)
+    mode = np.resize(np.repeat([1.0, 0.0], [10_000, 150]), 121_800)
+    run = operators["1"].simulate(mode, 0.8).iloc[-40_600:]
+    assert best.value > earned(operators["1"], run, 1.0) - 0.05
+
+
+@pytest.mark.parametrize(("name", "pair"), [("2", (0.615, 0.617)), ("4", (0.59, 0.592))])
+def test_the_best_thresholds_may_lie_beyond_the_limits_of_theorem_1(operators, name, pair):
+    """None were tried there; these earn more than a point more than any within."""
+    best = tl.optimal_allocation(operators[name], weight=1.0, min_dwell=0.0)
+    run = tl.simulate_allocation(operators[name], *pair, 60_000, r0=0.9).iloc[-40_000:]
+    assert best.threshold_value > earned(operators[name], run, 1.0) - 0.05
+    assert best.thresholds[1] > tl.threshold_limits(operators[name]).upper
+
+
 def test_less_work_is_allowed_and_costs(operators):
     free = tl.optimal_allocation(operators["2"])
     spared = tl.optimal_allocation(operators["2"], max_mean_r=0.6)

@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 from scipy import optimize, special
 
-from trustlab.allocation.limits import threshold_limits
 from trustlab.allocation.steady import SCREEN, grid_of_pairs, survey
 from trustlab.models.checks import between, not_negative, of_class, open_unit, positive
 from trustlab.models.compiled import njit
@@ -23,14 +22,15 @@ from trustlab.models.tsc import HumanModel, TscModel, human_at, next_utilization
 # Utilizations at which the certificate is evaluated.
 GRID = 20_001
 
-# The longest phase of a pattern, in time constants of utilization and in least dwell times, and how
+# The longest phase of a pattern at first, in samples and in least dwell times, and at last; and how
 # many manual phases are tried with the least rest that a limit of mean r allows.
-LONGEST = 4.0
+LONGEST = 1000.0
 MOST_DWELLS = 40
 MOST_SAMPLES = 20_000
 DENSE = 600
 
-# How many of the best pairs of thresholds, screened coarsely, are followed at length.
+# Thresholds tried, and how many of the best pairs, screened coarsely, are followed at length.
+TRIED = 80
 FOLLOWED = 25
 
 
@@ -52,8 +52,9 @@ class OptimalAllocation(Result):
     mean_r, mean_p_r : float
         Mean utilization and robot performance.
     thresholds : tuple of float or None
-        The best thresholds on TSC, (2.8), of a grid of 40 values, that keep the dwell time and the
-        limit of mean r; None where no pair does.
+        The best thresholds on TSC, (2.8), of a grid of 80 values from −1 to 1, that keep switching,
+        the dwell time and the limit of mean r, within Theorem 1's limits or not; None where no pair
+        does.
     threshold_value : float
         What they earn; NaN where there are none.
     """
@@ -277,11 +278,7 @@ def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tup
     c, scales = tsc.constants(), _scales(tsc, weight)
     least_rest = max(1.0 - limit, 1e-12) / limit * (1.0 - 1e-12)  # for each manual sample
     many = DENSE if limit < 1.0 else 0
-    longest = 1000.0
-    if least > 1:
-        longest = max(min(MOST_DWELLS * least, MOST_SAMPLES), least + LONGEST / tsc.human.b)
-    if limit < 1.0:  # whatever keeps the limit with the shortest phases
-        longest = max(longest, least * least_rest, least / least_rest) + 1.0
+    longest = min(max(LONGEST, MOST_DWELLS * least), MOST_SAMPLES) / 3.0
 
     def best_of(manual: np.ndarray, autonomous: np.ndarray) -> np.ndarray:
         """
@@ -295,13 +292,19 @@ def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tup
         patterns = np.unique(np.column_stack([drive, rest])[rest <= longest], axis=0).astype(int)
         return patterns[np.argmax([earn(c, *pattern, *scales)[0] for pattern in patterns])]
 
-    coarse = np.geomspace(least, longest, 36)
-    best = best_of(coarse, coarse)
-    reach = max(4, int(0.1 * best.max()))
-    while reach > 0:
-        offsets = np.linspace(-reach, reach, 11)
-        best = best_of(best[0] + offsets, best[1] + offsets)
-        reach //= 3
+    ended = True  # by the longest phase that was tried: a longer one may be better
+    while ended and longest < MOST_SAMPLES:
+        longest = min(3.0 * longest, MOST_SAMPLES)
+        if limit < 1.0:  # whatever keeps the limit with the shortest phases
+            longest = max(longest, least * least_rest + 1.0, least / least_rest + 1.0)
+        coarse = np.geomspace(least, longest, 36)
+        best = best_of(coarse, coarse)
+        reach = max(4, int(0.1 * best.max()))
+        while reach > 0:
+            offsets = np.linspace(-reach, reach, 11)
+            best = best_of(best[0] + offsets, best[1] + offsets)
+            reach //= 3
+        ended = best.max() > 0.9 * longest
     return int(best[0]), int(best[1])
 
 
@@ -309,10 +312,8 @@ def _best_thresholds(
     tsc: TscModel, weight: float, least: int, limit: float
 ) -> tuple[tuple[float, float] | None, float]:
     """Return the best pair of thresholds on TSC that keeps dwell time and mean r."""
-    limits = threshold_limits(tsc)
-    low, high = sorted([limits.lower, limits.upper])
-    margin = 0.01 * max(high - low, 1e-6)
-    pairs = grid_of_pairs(low + margin, high - margin, 40)
+    # TSC lies between −1 and 1, (2.2).
+    pairs = grid_of_pairs(-1.0, 1.0, TRIED)
     ranked = _by_points(survey([tsc], pairs, SCREEN), weight)[["lower", "upper"]].to_numpy()
     able = pd.DataFrame()
     for first in range(0, len(ranked), FOLLOWED):
