@@ -3,7 +3,6 @@ The CasADi program of the correction: against the clipped plan, closed forms, an
 one's own.
 """
 
-
 import casadi
 import numpy as np
 import pytest

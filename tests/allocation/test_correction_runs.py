@@ -7,6 +7,7 @@ import math
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 
@@ -52,7 +53,9 @@ def test_missing_data_hold_and_the_correction_goes_on(corrector):
     for k in range(60):
         missing = 20 <= k < 40
         values = (
-            ((math.nan, 0.38), (0.3, math.nan), (None, None))[k % 3] if missing else (0.3, 0.38)
+            ((np.float32("nan"), 0.38), (0.3, math.nan), (None, pd.NA))[k % 3]
+            if missing
+            else (0.3, 0.38)
         )
         steps.append(loop.update(*values, mode=math.nan if missing and k % 2 else 1))
     held = steps[20:40]
@@ -75,6 +78,10 @@ def test_performance_outside_the_range(corrector):
     assert (nearest.status, nearest.message) == ("planned", NEAREST)
     assert nearest.c_l == corrector.step(0.0, 0.35, *START, 1).c_l
     assert online(corrector).update(0.35 + 1e-12, 0.38).message == OPTIMAL
+    for p_h in (39.0, -5.0):  # such as per cent: TSC lies outside of [−1, 1]
+        for outside in ("hold", "nearest"):
+            step = online(corrector, outside=outside).update(0.3, p_h)
+            assert (step.status, step.message) == ("held", OUTSIDE)
 
 
 def test_odd_measurements_are_refused_and_change_nothing(corrector):
@@ -132,9 +139,11 @@ def test_following_is_the_model_under_moving_thresholds():
 
 def test_habits_differ_as_they_should():
     runs = {
-        habit: corrected(tests=2, habit=habit, horizon=20, duration=900, lag=8.0)
-        for habit in ("following", "lagging", "ignoring")
+        habit: corrected(tests=2, habit=habit, horizon=20, duration=900, **lag)
+        for habit, lag in (("following", {}), ("lagging", {"lag": 8.0}), ("ignoring", {}))
     }
+    with pytest.raises(ValueError, match="lag would do nothing with habit='following'"):
+        corrected(lag=8.0)
     own = tl.simulate_allocation(SECOND, *START, 9000)
     np.testing.assert_allclose(runs["ignoring"].data["p_r"][:9000], own["p_r"], atol=1e-12)
     late = runs["lagging"].data

@@ -246,6 +246,32 @@ def test_tsc_is_worked_out_from_performance(operators):
         estimate_thresholds(tl.Session(run[["mode", "tsc"]].assign(mode=0.5)))
 
 
+def test_a_model_that_is_given_is_used_beside_a_column_tsc(operators):
+    run = tl.simulate_allocation(operators["2"], 0.0, 0.35, 20_000).set_index(
+        np.arange(20_000) * 0.1
+    )
+    assert run["tsc"].notna().all()
+    whole, bare = tl.Session(run), tl.Session(run[["mode", "p_r", "p_h"]])
+    estimates = [estimate_thresholds(each, operators["5"]).table() for each in (whole, bare)]
+    pd.testing.assert_frame_equal(*estimates)
+    assert estimates[0]["mean"].tolist() != estimate_thresholds(whole).table()["mean"].tolist()
+
+
+@pytest.mark.parametrize("n", [2, 3, 6])
+def test_the_interval_of_a_threshold_covers_with_few_switches(n):
+    """A bootstrap of two switches covered in half of the cases."""
+    rng, covered = np.random.default_rng(2), []
+    for _ in range(400):
+        levels = rng.normal(np.where(np.arange(2 * n + 1) % 2, -0.3, 0.3), 0.1)
+        mode = np.arange(2 * n + 1) % 2.0
+        frame = pd.DataFrame(
+            {"mode": mode, "tsc": levels}, pd.Index(np.arange(2.0 * n + 1), name="t")
+        )
+        row = estimate_thresholds(tl.Session(frame)).table().loc["upper"]
+        covered.append(row["ci_low"] <= 0.3 <= row["ci_high"])
+    assert 0.92 < np.mean(covered) < 0.98
+
+
 def test_suggestions_are_followed_in_time_or_not():
     n = 1000
     mode, suggested = np.ones(n), np.full(n, -1.0)

@@ -85,6 +85,9 @@ def test_arrays_are_floats_in_one_piece():
         finite_array("x", array, length=4)
     with pytest.raises(ValueError, match="x must be finite, but sample 1 is nan"):
         finite_array("x", [1, None])
+    for masked in (np.ma.array([1.0, 1e20], mask=[0, 1]), np.ma.array([1, 9], mask=[0, 1])):
+        with pytest.raises(ValueError, match="x must be finite, but sample 1 is nan"):
+            finite_array("x", masked)
     with pytest.raises(ValueError, match="x must be finite, but sample 7 is nan"):
         finite_numbers("x", np.where(np.arange(20).reshape(10, 2) == 15, np.nan, 1.0))
     with pytest.raises(ValueError, match="one-dimensional with at least one sample, got shape"):

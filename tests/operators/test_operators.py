@@ -239,3 +239,9 @@ def test_a_delayed_hand_weaves(operators):
         for delay in (0.0, 0.9)
     ]
     assert errors[1] > 1.5 * errors[0]
+
+
+@pytest.mark.parametrize("name", ["proportional", "derivative", "crossover", "adaptation"])
+def test_what_a_law_of_ones_own_does_not_use_is_refused(name):
+    with pytest.raises(ValueError, match=f"{name} would do nothing beside a law of one's own"):
+        tl.Teleoperator("me", law=lambda state: 0.8 * state.seen, **{name: 3.0})

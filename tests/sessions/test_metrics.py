@@ -71,11 +71,32 @@ def test_mixed_initiative_measures_are_3_27():
     e = norm(session, "reference", "robot", "yz")
     for name, command, share in (("p_r", "u_a", 1 - alpha), ("p_h", "u_h", alpha)):
         quality = 1 - norm(session, command, "u_i", "yz") / 8
-        np.testing.assert_allclose(measured[name], quality * (1 - share * e / 9), atol=1e-12)
+        near = np.maximum(quality, 0.0) * np.maximum(1 - share * e / 9, 0.0)
+        np.testing.assert_allclose(measured[name], near, atol=1e-12)
     assert measured.metadata.more["performance"] == "(3.26), (3.27), window 0.1 s"
     # α comes before the mode.
     both = arm(alpha=alpha).with_performance(**scales)
     assert both["p_r"].tolist() == session.with_performance(**scales)["p_r"].tolist()
+
+
+def test_what_is_off_by_more_than_both_maxima_is_not_good():
+    """The product of two negative shares was positive."""
+    scales = {"window": 0.1, "measure": "mixed_initiative", "e_max": 1e-3, "u_max": 1e-3}
+    measured = arm(mode=np.full(50, 0.5)).with_performance(**scales)
+    assert not measured.data[["p_r", "p_h"]].any(axis=None)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"axes": "yz"}, r"u_max and axes are not used by \(2.4\)"),
+        ({"e_max": -1.0}, "e_max must be positive"),
+        ({"measure": "uav_tracking", "e_max": 1.0, "u_max": 0.0}, "u_max must be positive"),
+    ],
+)
+def test_scales_are_named_and_those_without_effect_refused(change, words):
+    with pytest.raises(ValueError, match=words):
+        arm().with_performance(window=0.1, **change)
 
 
 MODE = np.arange(2000) // 200 % 2

@@ -227,6 +227,15 @@ def test_a_trace_of_packets_is_read_at_the_newest_that_arrived():
         assert late[k] == pytest.approx(max(T * k - newest, T), abs=1e-12)
 
 
+def test_a_trace_in_milliseconds_is_refused():
+    """No packet arrived in the whole run."""
+    sent = 1000.0 * np.arange(0.0, 11.0, 0.01)
+    with pytest.raises(
+        ValueError, match="arrives at 100 s, after the end of the run: give seconds"
+    ):
+        packet_delay(sent, sent + 100.0).samples(1000, T)
+
+
 def test_random_walk_keeps_bounds_rate_and_seed():
     values, again = (random_walk_delay(0.05, 0.8, 0.6, seed=4).samples(5000, T) for _ in range(2))
     assert 0.05 <= values.min() <= values.max() <= 0.8

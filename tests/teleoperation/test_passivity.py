@@ -147,7 +147,9 @@ def test_what_grows_is_not_bounded():
     steady = np.sin(0.3 * np.arange(300))
     assert tl.passivity(session(np.column_stack([steady] * 4))).bounded
     late = np.where(np.arange(300) < 250, 0.0, 1e9)  # nothing before the last third
-    assert not tl.passivity(session(np.column_stack([late] * 4))).bounded
+    answer = tl.passivity(session(np.column_stack([late] * 4)))
+    assert not answer.bounded
+    assert "began in the last third of the run" in answer.message
 
 
 def test_a_team_has_a_criterion_of_its_own():

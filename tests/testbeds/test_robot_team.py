@@ -448,3 +448,19 @@ def test_a_run_is_repeated_from_its_inputs_without_python():
     np.testing.assert_array_equal(again.log.table, first.log.table)
     np.testing.assert_array_equal(again.log.places, first.log.places)
     assert (other.log.places != first.log.places).any()
+
+
+def test_robots_are_numbered_as_they_count_however_edges_are_listed():
+    """The slow robot was another one for each order of the same edges."""
+    settings = TeamSettings(robots=(TeamRobot(speed=0.01), TeamRobot(), TeamRobot()))
+    graphs = [nx.path_graph([1, 0, 2]), nx.Graph([(2, 0), (0, 1)]), nx.Graph([(0, 2), (0, 1)])]
+    runs = [tl.simulate_team(graph, settings=settings, duration=2.0) for graph in graphs]
+    for run in runs:
+        assert run.robots == (0, 1, 2)
+        np.testing.assert_array_equal(run.positions, runs[0].positions)
+
+
+def test_a_graph_that_begins_after_the_end_is_refused():
+    graph = {0.0: nx.cycle_graph(4), 100.0: nx.path_graph(4)}
+    with pytest.raises(ValueError, match="from t = 100 s on would do nothing in a run of 20 s"):
+        tl.simulate_team(graph, duration=20.0)

@@ -5,6 +5,7 @@ tests as in Fig. 2.18, on the model.
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -165,9 +166,11 @@ class OnlineCorrection:
         missing = math.isnan(tsc)
         nearest = min(max(p_r, c.p_r_min), c.p_r_max)
         inside = abs(p_r - nearest) <= ROUNDING * (c.p_r_max - c.p_r_min)
+        # TSC lies between −1 and 1, (2.2), unless P_h is no such performance.
+        likely = abs(tsc_at.py_func(nearest, p_h, c)) <= 1.0 + ROUNDING
         corrections, costs = (0.0, 0.0), (math.nan, math.nan)
         status, message = "held", MISSING if missing else OUTSIDE
-        if not missing and (inside or self._nearest):
+        if likely and (inside or self._nearest):
             plan = self.corrector.step(r, nearest, lower, upper, now)
             corrections, costs = (plan.c_l, plan.c_u), (plan.cost, plan.cost_lower_bound)
             status = plan.status
@@ -197,7 +200,7 @@ class OnlineCorrection:
 
 def _missing(value: Any) -> bool:
     """Return whether a measurement did not come."""
-    return value is None or (isinstance(value, float) and math.isnan(value))
+    return value is None or value is pd.NA or (isinstance(value, Real) and math.isnan(value))
 
 
 # --- consecutive tests ----------------------------------------------------------------------------
@@ -267,7 +270,7 @@ def run_correction(
     tests: int = 4,
     habit: str = "following",
     duration: float = 1800.0,
-    lag: float = 5.0,
+    lag: float | None = None,
     sample_time: float = 0.1,
 ) -> CorrectionRun:
     """
@@ -291,7 +294,7 @@ def run_correction(
     duration : float
         Length of each test [s]; Section 2.5 does not state its own.
     lag : float
-        How long a suggestion must stand before the habit "lagging" follows it [s].
+        How long a suggestion must stand before the habit "lagging" follows it [s]; by default 5.
     sample_time : float
         Step of the model [s].
 
@@ -324,7 +327,10 @@ def run_correction(
     sample_time = positive("sample_time", sample_time)
     share = between("duration/sample_time", positive("duration", duration) / sample_time, 1.0, 1e7)
     samples = round(share)
-    wait = max(1.0, not_negative("lag", lag) / sample_time - 0.5)
+    if lag is not None and habit != "lagging":
+        raise ValueError(f"lag would do nothing with habit={habit!r}; leave it out")
+    lag = 5.0 if lag is None else not_negative("lag", lag)
+    wait = max(1.0, lag / sample_time - 0.5)
     tsc, thresholds = corrector.tsc, start
     parts = []
     for number in range(1, tests + 1):

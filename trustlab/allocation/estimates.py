@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from scipy import special
 
 from trustlab.models.checks import (
     finite_array,
@@ -21,9 +22,9 @@ from trustlab.models.tsc import TscModel
 from trustlab.sessions.errors import SessionError
 from trustlab.sessions.session import Session
 
-# Half width of the band around the means that `share_within` counts, as Table 2.3 does; bootstrap
-# resamples of the means, and draws for `p_overlap`.
-WITHIN, RESAMPLES = 0.15, 2000
+# Half width of the band around the means that `share_within` counts, as Table 2.3 does; draws for
+# `p_overlap`.
+WITHIN, DRAWS = 0.15, 2000
 SIDES = ("lower", "upper")
 SUMMARY = ["n", "mean", "sd", "ci_low", "ci_high", "share_within"]
 
@@ -42,7 +43,7 @@ class ThresholdEstimate:
         One row per switch: run, t [s], threshold ("lower" on taking over, "upper" on handing over),
         tsc.
     summary : pandas.DataFrame
-        Index `threshold`; columns n, mean, sd, ci_low, ci_high (bootstrap 95 % interval of the
+        Index `threshold`; columns n, mean, sd, ci_low, ci_high (Student's 95 % interval of the
         mean), share_within (of the switches within ±0.15 of their mean).
     separation : float
         How far the means are apart in sums of the two SDs, (mean upper − mean lower)/(SD lower + SD
@@ -93,7 +94,7 @@ def estimate_thresholds(
     sessions : Session or iterable of Session
         Runs with column mode (0 or 1) and tsc, or p_r and p_h with a model to compute it from.
     model : TscModel, optional
-        The operator's model (2.1), for sessions without column tsc.
+        The operator's model: TSC is computed from it, (2.1), in place of column tsc.
     after : float, optional
         Leave out switches before this time [s], in every run; all count when not given.
 
@@ -143,7 +144,7 @@ def estimate_thresholds(
         of_class(f"sessions[{number}]", run, Session, "trustlab.read_session(path) reads one")
         mode = run["mode"]
         wrong = "thresholds need a mode of 0 or 1, not shares"
-        if "tsc" not in run and model is None:
+        if model is None and "tsc" not in run:
             wrong = (
                 "column 'tsc' is missing; give model=TscModel(...) to compute it from p_r and p_h"
             )
@@ -151,7 +152,7 @@ def estimate_thresholds(
             wrong = ""
         if wrong:
             raise SessionError(f"{run.label}: {wrong}", run.metadata.source)
-        tsc = run["tsc"] if "tsc" in run else model.value(run["p_r"], run["p_h"])
+        tsc = run["tsc"] if model is None else model.value(run["p_r"], run["p_h"])
         for k in np.flatnonzero((np.diff(mode) != 0.0) & (run.t[1:] >= after)) + 1:
             rows.append((number, run.t[k], "lower" if mode[k] == 1.0 else "upper", tsc[k]))
     switches = pd.DataFrame(rows, columns=["run", "t", "threshold", "tsc"])
@@ -160,11 +161,10 @@ def estimate_thresholds(
         raise SessionError(
             f"mode never changes{when} in these sessions, so no threshold can be estimated"
         )
-    rng = np.random.default_rng(0)
     groups = {side: switches["tsc"][switches["threshold"] == side].to_numpy() for side in SIDES}
-    sides = [_row(values, rng) for values in groups.values()]
+    sides = [_row(values) for values in groups.values()]
     summary = pd.DataFrame(sides, pd.Index(SIDES, name="threshold"), SUMMARY)
-    return ThresholdEstimate(switches, summary, *_apart(groups, rng))
+    return ThresholdEstimate(switches, summary, *_apart(groups, np.random.default_rng(0)))
 
 
 def _apart(groups: dict[str, np.ndarray], rng: np.random.Generator) -> tuple[float, float]:
@@ -176,22 +176,21 @@ def _apart(groups: dict[str, np.ndarray], rng: np.random.Generator) -> tuple[flo
         if n < 2 or not values.std() > 0.0:
             return np.nan, np.nan
         mean, sd = values.mean(), values.std(ddof=1)
-        spread = sd * np.sqrt((n - 1) / rng.chisquare(n - 1, RESAMPLES))
+        spread = sd * np.sqrt((n - 1) / rng.chisquare(n - 1, DRAWS))
         samples += [mean, sd]
-        drawn += [mean + spread * rng.standard_normal(RESAMPLES) / np.sqrt(n), spread]
+        drawn += [mean + spread * rng.standard_normal(DRAWS) / np.sqrt(n), spread]
     ratio, ratios = ((high - low) / (a + b) for low, a, high, b in (samples, drawn))
     return float(ratio), float((ratios <= 1.0).mean())
 
 
-def _row(values: np.ndarray, rng: np.random.Generator) -> list[float]:
+def _row(values: np.ndarray) -> list[float]:
     """Return a row of the summary, NaN where there are too few switches."""
     n = values.size
     if n == 0:
         return [n, *[np.nan] * 5]
-    mean = values.mean()
-    means = rng.choice(values, (RESAMPLES, n)).mean(axis=1)
-    spread = [np.nan] * 3 if n == 1 else [values.std(ddof=1), *np.quantile(means, [0.025, 0.975])]
-    return [n, mean, *spread, np.mean(np.abs(values - mean) <= WITHIN)]
+    mean, sd = values.mean(), values.std(ddof=1) if n > 1 else np.nan
+    half = special.stdtrit(n - 1, 0.975) * sd / np.sqrt(n)
+    return [n, mean, sd, mean - half, mean + half, np.mean(np.abs(values - mean) <= WITHIN)]
 
 
 def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) -> float:

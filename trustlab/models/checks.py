@@ -219,7 +219,9 @@ def set_in_order(record: Any, low: str, high: str) -> None:
 def finite_numbers(name: str, values: Any) -> np.ndarray:
     """Return a number, or numbers of any shape, as a float array without gaps."""
     try:
-        array = np.asarray(values)
+        array = np.asarray(
+            values.astype(float).filled(np.nan) if np.ma.is_masked(values) else values
+        )
         text = array.dtype.kind == "O" and any(isinstance(x, str | bytes) for x in array.flat)
         if text or array.dtype.kind not in "biufO":
             raise TypeError

@@ -150,6 +150,10 @@ class Teleoperator(Checked):
         check_participant(self.participant)
         if not callable(self.law):
             one_of("law", self.law, LAWS, also="a function of the state")
+            return
+        for name in ("proportional", "derivative", "crossover", "adaptation"):
+            if getattr(self, name) != getattr(type(self), name):
+                raise ValueError(f"{name} would do nothing beside a law of one's own")
 
     def numbers(self, sample_time: float, camera_delay: float) -> np.void:
         """

@@ -140,7 +140,7 @@ def mixed_initiative(
     Return p'_r and p'_h of (3.27), what (3.26) averages.
 
     p'_r = N(‖u_a − u_i‖₁) N((1 − α)‖e‖₁) and p'_h = N(‖u_h − u_i‖₁) N(α‖e‖₁), N(y) = (y_max −
-    y)/y_max.
+    y)/y_max and 0 beyond y_max: the product of two negative ones would be good.
 
     Parameters
     ----------
@@ -155,9 +155,12 @@ def mixed_initiative(
     """
     off = np.abs(np.asarray(error, dtype=float)).sum(axis=1)
     alpha = finite_array("alpha", mode_array(alpha), length=off.size)
-    p_r = nearness(_norm1(u_a, u_i), u_max) * nearness((1.0 - alpha) * off, e_max)
-    p_h = nearness(_norm1(u_h, u_i), u_max) * nearness(alpha * off, e_max)
-    return p_r, p_h
+
+    def product(deviation: np.ndarray, error: np.ndarray) -> np.ndarray:
+        near = nearness(deviation, u_max), nearness(error, e_max)
+        return np.prod(np.maximum(near, 0.0), axis=0)
+
+    return product(_norm1(u_a, u_i), (1.0 - alpha) * off), product(_norm1(u_h, u_i), alpha * off)
 
 
 def _norm1(command: np.ndarray, ideal: np.ndarray) -> np.ndarray:
@@ -212,9 +215,12 @@ def with_performance(
         return session.data[names].to_numpy()
 
     one_of("measure", measure, ("ground_robot", "uav_tracking", "mixed_initiative"))
+    for name, largest in {"e_max": e_max, "u_max": u_max}.items():
+        if largest is not None:
+            positive(name, largest)
     if measure == "ground_robot":
-        if u_max is not None:
-            raise ValueError("u_max is not used by (2.4) and (2.7); leave it out")
+        if u_max is not None or axes != "xyz":
+            raise ValueError("u_max and axes are not used by (2.4) and (2.7); leave them out")
         e_max = 2.0 if e_max is None else e_max
         session.require("step_distance", "path_error", "v_command", "w_command")
         p_r = goal_speed(

@@ -185,10 +185,10 @@ def packet_delay(sent: np.ndarray, received: np.ndarray) -> Delay:
     arrivals, newest = received[order], np.maximum.accumulate(sent[order])
 
     def trace(times: np.ndarray) -> np.ndarray:
-        if sent[0] > times[-1]:
+        if arrivals[0] > times[-1]:
             raise ValueError(
-                f"the trace begins at {sent[0]:g} s, after the end of the run: give seconds from "
-                "the start of the run, (sent - sent[0], received - sent[0])"
+                f"the first packet of the trace arrives at {arrivals[0]:g} s, after the end of the "
+                "run: give seconds from the start of the run, (sent - sent[0], received - sent[0])"
             )
         step = times[1] - times[0]
         last = np.searchsorted(arrivals, times + SLACK, side="right") - 1

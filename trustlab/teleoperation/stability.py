@@ -63,6 +63,8 @@ class Passivity(Result):
         bounds = "stayed bounded"
         if not self.bounded:
             bounds = f"grew {self.growth:.3g}-fold in the last third of the run"
+        if np.isinf(self.growth):
+            bounds = "began in the last third of the run, which does not show that they are bounded"
         return f"{verdict}; velocities and forces {bounds}."
 
     def table(self) -> pd.DataFrame:

@@ -221,6 +221,11 @@ class TeamLoop(Loop):
             self._drawn, start = _drawn(self._decisions, len(self.robots), rate, drawn)
             if driver is None:
                 self._share = start
+        if self._graphs[-1].since >= duration:
+            raise ValueError(
+                f"the graph from t = {self._graphs[-1].since:g} s on would do nothing in a run of "
+                f"{duration:g} s"
+            )
         self._graph = self._graphs[0]
         self._levels: list[np.ndarray] = []  # of trust, at every decision
         self._named: int | None = None

@@ -3,7 +3,7 @@ Who sees whom in a team of robots: graphs as adjacency matrices, how they change
 one step on them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -86,7 +86,8 @@ def _matrix(graph) -> tuple[tuple, np.ndarray]:
         if hasattr(graph, "nodes"):
             import networkx
 
-            return tuple(graph.nodes), networkx.to_numpy_array(graph)
+            names = _in_order(graph.nodes)
+            return names, networkx.to_numpy_array(graph, names)
         matrix = np.asarray(graph)
         if matrix.dtype.kind in "biuf" and matrix.ndim == 2 and len(set(matrix.shape)) == 1:
             return tuple(range(len(matrix))), matrix.astype(float)
@@ -96,6 +97,11 @@ def _matrix(graph) -> tuple[tuple, np.ndarray]:
         "graph must be a networkx.Graph, a square matrix of weights, or a dict from time to "
         f"graph, with numbers as weights, got {type(graph).__name__}"
     )
+
+
+def _in_order(names: Iterable) -> tuple:
+    """Return names in their order; numbers as they count, however edges were listed."""
+    return tuple(sorted(names) if all(isinstance(name, int) for name in names) else names)
 
 
 def _linked(adjacency: np.ndarray) -> np.ndarray:
@@ -124,7 +130,7 @@ def graphs_in_time(graph, require_connected: bool) -> tuple[tuple, list[TeamGrap
             parts.append(team_graph(graphs[t], require_connected))
         except GraphError as error:
             raise GraphError(f"from t = {t:g} s on: {error}" if t else str(error)) from None
-    names = tuple(dict.fromkeys(name for members, _ in parts for name in members))
+    names = _in_order(dict.fromkeys(name for members, _ in parts for name in members))
     changes = []
     for t, (members, part) in zip(sorted(times), parts, strict=True):
         places = [names.index(name) for name in members]
