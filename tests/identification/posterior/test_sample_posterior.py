@@ -316,6 +316,15 @@ def test_what_is_not_understood_is_refused():
     assert tl.sample_posterior(far, prior=stated).draws["human_p_max"].mean() > 3.0
 
 
+@pytest.mark.parametrize(("shift", "doubted"), [(0.25, False), (0.4, True)])
+def test_data_far_from_the_prior_are_doubted(shift, doubted):
+    """Least human performance lies 2.4 and 3.9 of the prior's deviations from its mean."""
+    session, _ = simulated_logs.printed_case(np.random.default_rng(27), "white", minutes=3.0)
+    moved = session.with_columns(p_h=session["p_h"] + shift)
+    message = tl.sample_posterior(moved, n=200).message
+    assert doubted == ("far from what the prior expects" in message)
+
+
 def test_rounded_means_are_taken_as_the_fit_takes_them():
     """Noise is in the means where these are rounded: undoing the window would blow it up."""
     rng = np.random.default_rng(37)
