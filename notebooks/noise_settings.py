@@ -330,8 +330,8 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
 
 def not_met(rows: pd.DataFrame) -> pd.DataFrame:
     """
-    Return which parameters fits that report success cover in fewer than 90 %, or, of windows, are
-    biased by 0.3 sd; and if by chance.
+    Return which parameters the default and optional fits that report success cover in fewer than
+    90 %, or, of windows, are biased by 0.3 sd, where more than a tenth succeed; and if by chance.
     """
     table = by_parameter(rows)
     # A tenth of the fits is chance where the others say that their intervals cannot be trusted.

@@ -82,8 +82,8 @@ class Teleoperator(Checked):
         How long between two such moves [s].
     compensation : float
         By how much the hand moves more than it should, to make up for the scales of the channel: 1
-        not at all. The main study's channel passes at least 2√β̲ = 0.447 of a command, which 2.24
-        makes up for.
+        not at all. The main study's channel passes 2√β̲ = 0.447 of a command at first, which 2.24
+        makes up for, and 0.392 of one that lasts, which needs 2.55.
     law : {"proportional", "crossover"} or callable
         "proportional": `proportional` and `derivative` on the error seen, the same on any channel.
         "crossover": people keep the open loop near its crossover an integrator with a delay, ω_c

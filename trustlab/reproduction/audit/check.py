@@ -195,6 +195,11 @@ def show(value: float, like: PrintedNumber | None = None, more: int = 0) -> str:
     return f"{value:.{like.decimals + more}f}"
 
 
+def between(low: float, high: float) -> str:
+    """Return a range in words, of which the upper end may be infinite."""
+    return f"from {show(low)} to {show(high)}" if np.isfinite(high) else f"at least {show(low)}"
+
+
 @dataclass(frozen=True)
 class Relation:
     """
@@ -307,20 +312,20 @@ class Allows(Formula, Relation):
             return replace(self, compute=lambda v: self.compute(v)[end]).range(self, numbers)
 
         (at_least, low, _), (at_most, _, high) = reached(0), reached(1)
-        ends = f"{show(low)} to {show(high)}"
+        ends, exact = between(low, high), between(at_least, at_most)
         least, most = number.compatible
         verdict = "not checkable"
-        reason = f"Not determined by other printed numbers; their limits are from {ends}."
+        reason = f"Not determined by other printed numbers, by which it is {ends}."
         if most < low or least > high:
-            reason = f"{self.binding} Other printed numbers give from {ends}."
+            reason = f"{self.binding} By other printed numbers it is {ends}."
             if not self.binding:
                 verdict = "differs"
-                reason = f"Impossible: other printed numbers allow it from {ends}, however rounded."
+                reason = f"Impossible: by other printed numbers it is {ends}, however rounded."
         note = self.note
         if not at_least <= number.value < at_most:
-            doubt = f"As printed they give {show(at_least)} to {show(at_most)}, the upper end "
-            doubt += "excluded."
-            reason = f"{reason} {doubt}" if self.binding else f"Suspicious: {doubt} {reason}"
+            reason = reason if self.binding else f"Suspicious: {reason}"
+            if exact != ends:
+                reason += f" As these are printed, it is {exact}, the upper end excluded."
         return row_about(
             number,
             f"{reason} {note}",

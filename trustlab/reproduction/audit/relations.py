@@ -530,7 +530,8 @@ RELATIONS: tuple[Follows | Allows, ...] = (
         "section_3_*/B",
         "0.05 Λ … ∞",
         lambda v: (0.05 * v.Lambda, INFINITE),
-        binding="Suspicious: (3.10) needs B ≥ MΛ, for a handle lighter than any that a hand holds.",
+        binding="Suspicious: by (3.10) B must be at least MΛ, here for a handle of 50 g, lighter "
+        "than any that a hand holds.",
     ),
     Follows("section_2_4_1_3/laps_in_all", "sets × laps", lambda v: v.sets * v.laps),
     Follows("section_*/participants", "female + male", lambda v: v.female + v.male),
