@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import optimize, stats
+from statsmodels.tools.numdiff import approx_fprime, approx_hess
 
 import trustlab as tl
 from tests.studies.scores import COLUMNS, drawn, long, reference
@@ -139,6 +140,61 @@ def test_the_call_that_an_error_recommends_works_as_typed():
         _ = model.F
 
 
+def test_who_has_no_score_is_named():
+    """They were dropped in silence; a variance of zero was not in the sentence either."""
+    frame = drawn(14, seed=3).assign(score=lambda f: f["score"].where(f["person"] != 5))
+    model = tl.mixed_model(frame, **COLUMNS)
+    assert model.excluded == (5,)
+    assert model.apa().endswith("Left out for missing scores: 1 participant (5).")
+    assert "variance between subjects is estimated as zero" not in model.apa()
+    alike = tl.mixed_model(drawn(14, people=0.0, seed=1), **COLUMNS)
+    assert alike.singular
+    assert "The variance between subjects is estimated as zero." in alike.apa()
+
+
+@pytest.mark.parametrize("at", ["mode", "task"])
+def test_groups_at_one_level_have_the_degrees_of_freedom_of_satterthwaite(at):
+    """
+    They had those of the group's mean. Oracle: the restricted likelihood of both variances with
+    dense matrices, and its second derivatives.
+    """
+    frame = drawn(11, seed=4, mode="abc", task="xy")
+    model = tl.mixed_model(frame, **GROUPED | {"within": ["mode", "task"]})
+    cell = frame.groupby(["group", "mode", "task"]).ngroup().to_numpy()
+    same = (frame["person"].to_numpy()[:, None] == frame["person"].to_numpy()) * 1.0
+    y, x = frame["score"].to_numpy(), np.eye(12)[cell]
+    cells = frame.groupby(["group", "mode", "task"]).size().index.to_frame()
+    contrast = np.where(cells["group"] == "expert", 1.0, -1.0) * (cells[at] == cells[at].iloc[0])
+    contrast /= contrast.abs().sum() / 2.0
+
+    def fitted(variances):
+        v = variances[0] * same + variances[1] * np.eye(y.size)
+        covariance = np.linalg.inv(x.T @ np.linalg.solve(v, x))
+        error = y - x @ covariance @ x.T @ np.linalg.solve(v, y)
+        deviance = np.linalg.slogdet(v)[1] - np.linalg.slogdet(covariance)[1]
+        return deviance + error @ np.linalg.solve(v, error), contrast @ covariance @ contrast
+
+    best = np.array([model.subject_variance, model.residual_variance])
+    information = 0.5 * approx_hess(best, lambda variances: fitted(variances)[0])
+    slope = approx_fprime(best, lambda variances: fitted(variances)[1], centered=True)
+    variance = fitted(best)[1]
+    expected = 2.0 * variance**2 / (slope @ np.linalg.solve(information, slope))
+    pair = model.pairs("group", at=at).iloc[0]
+    assert (pair["mean_difference"] / pair["t"]) ** 2 == pytest.approx(variance)
+    assert pair["df"] == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_interval_of_partial_eta_squared_is_that_of_the_anova():
+    """With groups it took another number of scores for the noncentrality."""
+    frame = drawn(11, seed=4)
+    ours = tl.mixed_model(frame, **GROUPED).table()
+    anova = tl.repeated_measures(frame, **GROUPED, correction="none").table()
+    names = ["effect", "df1", "df2"]
+    assert ours[names].to_numpy().tolist() == anova[names].to_numpy().tolist()
+    names = ["F", "eta2_partial", "eta2_partial_low", "eta2_partial_high"]
+    np.testing.assert_allclose(ours[names], anova[names], rtol=1e-5)
+
+
 EXACT = 0.1 * np.arange(6)[:, None] + 0.7 * np.arange(3)
 ALONE = np.where(np.arange(6)[:, None] % 3 == np.arange(3), 1.0 + np.arange(6)[:, None], np.nan)
 
@@ -178,7 +234,7 @@ def test_formula_model_agrees_with_lme4(name):
     np.testing.assert_allclose(fit.random_effects()["variance"], own["variances"], rtol=1e-5)
 
 
-@pytest.mark.parametrize("kind", [object, "category", "str"])
+@pytest.mark.parametrize("kind", [object, "category", "str", "string"])
 def test_a_missing_label_is_not_the_reference_level(kind):
     """72 trials, 11 without the label of their mode."""
     frame = drawn(12, mode="ab", trial="xyz").assign(rating=[0, 1, 2, 1] * 18)
@@ -214,3 +270,18 @@ def test_a_factor_of_one_level_is_not_tested():
 def test_a_formula_without_effects_says_so():
     found = tl.formula_model("score ~ 1", drawn(12), groups="person")
     assert found.apa().endswith("observations) has no effects to test.")
+
+
+def test_a_category_without_rows_is_no_level():
+    """Rows selected from a categorical column made the effect "not estimable"."""
+    frame = drawn(12).astype({"mode": "category"}).query("mode != 'c'")
+    table = tl.formula_model("score ~ mode", frame, groups="person").table()
+    plain = tl.formula_model("score ~ mode", frame.astype({"mode": str}), groups="person").table()
+    pd.testing.assert_frame_equal(table, plain)
+
+
+def test_the_error_of_a_formula_has_plain_characters():
+    """It had the codes of a terminal's colours."""
+    with pytest.raises(ValueError, match="is incorrectly used") as error:
+        tl.formula_model("score ~ mode + (1|person)", drawn(12), groups="person")
+    assert "\x1b" not in str(error.value)

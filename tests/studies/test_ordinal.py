@@ -301,3 +301,14 @@ def test_intervals_of_probabilities_cover_as_they_say():
     # Ten intervals of a study depend on each other; studies do not.
     low, high = stats.binom.ppf([1e-4, 1.0 - 1e-4], studies, 0.95) / studies
     assert low <= share <= high
+
+
+def test_covariates_are_other_columns_than_the_rest():
+    """The subject was taken for one, beside its random intercept; one name alone was spelt out."""
+    frame = ratings().assign(trial=lambda f: f["trial"].map({"x": 0, "y": 1, "z": 2}))
+    call = {"dv": "trust", "within": "mode", "subject": "person"}
+    for name in ("person", "mode", "trust"):
+        with pytest.raises(ValueError, match=r"covariates: column .* has another role"):
+            tl.ordinal_model(frame, **call, covariates=[name])
+    one, listed = (tl.ordinal_model(frame, **call, covariates=c) for c in ("trial", ["trial"]))
+    pd.testing.assert_frame_equal(one.table(), listed.table())

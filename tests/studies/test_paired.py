@@ -130,3 +130,27 @@ def test_bayes_factors_of_any_t(t, n, scale, expected):
 def test_shapiro_is_not_defined_beyond_five_thousand_subjects():
     a, b = np.random.default_rng(0).normal(size=(2, 5001))
     assert np.isnan(run(a, b).shapiro_p)
+
+
+def test_the_sentence_judges_at_the_level_of_its_intervals():
+    """It said "significant" at .05 beside a 99 % interval that has zero in it."""
+    x = np.random.default_rng(0).normal(size=10)
+    x = (x - x.mean()) / x.std(ddof=1) + 0.8  # p = .03
+    for confidence, verdict in (
+        (0.99, "did not differ significantly (α = 0.01)"),
+        (0.95, "differed significantly between"),
+        (0.9, "differed significantly (α = 0.1)"),
+    ):
+        found = run(x, np.zeros(10), confidence=confidence)
+        assert f"score {verdict}" in found.apa()
+        assert (found.ci_low > 0.0) == ("did not" not in found.apa())
+
+
+@pytest.mark.parametrize("test", [tl.equivalence, tl.bayes_factor])
+def test_a_pair_with_one_difference_is_refused(test):
+    """Its Bayes factor was NaN, without a word."""
+    a = np.array([1.0, 3.0, 2.0, 5.0])
+    frame = long(np.column_stack([a, a + 1.0, a**2]))
+    more = {"bound": 1.0} if test is tl.equivalence else {}
+    with pytest.raises(ValueError, match="the same difference between 'a' and 'b'; leave one out"):
+        test(frame, **COLUMNS, **more)

@@ -72,6 +72,15 @@ def test_the_interval_of_d_z_inverts_the_noncentral_t(t, n):
     assert low < t / np.sqrt(n) < high
 
 
+@pytest.mark.parametrize("level", [0.8, 0.99, 0.9999])
+def test_the_interval_of_d_z_is_exact_near_no_difference(level):
+    """It was that of t = 0. Oracle: SciPy's noncentral t."""
+    for t in (0.0, 0.01, -0.05, 0.3):
+        low, high = d_z_interval(np.array([t]), 9, 1.0, level)
+        shares = [stats.nct.sf(t, 9, low), stats.nct.cdf(t, 9, high)]
+        np.testing.assert_allclose(np.ravel(shares), 0.5 - 0.5 * level, rtol=1e-6)
+
+
 def test_the_interval_of_d_z_goes_on_where_t_is_huge():
     near, far = (np.array(d_z_interval(np.array([t]), 9, 0.1)) / t for t in (999.0, 1001.0))
     np.testing.assert_allclose(near, far, rtol=1e-3)

@@ -152,7 +152,8 @@ def test_a_pilot_study_is_the_population():
     index = pd.MultiIndex.from_tuples([(g, *cell) for g in ("expert", "novice") for cell in CELLS])
     mean = pd.Series(wide.groupby("group").mean().to_numpy().ravel(), index)
     covariance = residual.T @ residual / 18
-    given = tl.power_analysis(mean, covariance, n=8, columns=columns, simulation=SMALL)
+    factors = StudyColumns(within=[*order], between="group")
+    given = tl.power_analysis(mean, covariance, n=8, columns=factors, simulation=SMALL)
     pd.testing.assert_frame_equal(found.table(), given.table(), rtol=1e-9)
     assert "synthetic data" in found.plot().get_title()
 
@@ -302,3 +303,26 @@ def test_groups_alone_are_no_study_within_subjects():
     groups = StudyColumns(within=[], between="group")
     with pytest.raises(ValueError, match="within must name a factor"):
         tl.power_analysis([0.0, 1.0], np.eye(2), columns=groups, n=20, simulation=SMALL)
+
+
+@pytest.mark.parametrize("columns", [{"order": [3, 2, 1]}, {"dv": "time"}, {"subject": "pid"}])
+def test_columns_of_no_data_are_refused(columns):
+    """They had no effect."""
+    with pytest.raises(ValueError, match="columns: dv, subject and order are of data="):
+        tl.power_analysis([0.0, 1.0, 2.0], np.eye(3), columns=StudyColumns(**columns))
+
+
+def test_the_only_effect_has_the_name_of_its_factor():
+    """It was called condition."""
+    columns = StudyColumns(within="dose")
+    given = {"covariance": np.eye(2), "columns": columns, "simulation": SMALL}
+    found = tl.power_analysis([0.0, 1.0], **given, n=9).table()
+    assert {*found["effect"]} == {"dose"}
+    assert tl.smallest_n(0.8, [0.0, 1.0], **given).power >= 0.8
+
+
+def test_two_means_of_a_cell_are_refused():
+    """The error was that of pandas."""
+    means = TWO_WAY.iloc[[0, 0, 2, 3, 4, 5]]
+    with pytest.raises(ValueError, match=r"mean: cell \('low', 'easy'\) occurs twice"):
+        tl.power_analysis(means, graded_covariance(6), columns=FACTORS, simulation=SMALL)

@@ -226,3 +226,17 @@ def test_two_items_of_one_name_are_refused():
     items = pd.DataFrame([[1, 2, 1], [2, 2, 3], [4, 5, 4]], columns=["q1", "q2", "q1"])
     with pytest.raises(ValueError, match="2 columns are named 'q1'"):
         cronbach_alpha(items)
+
+
+@pytest.mark.parametrize("name", ["ease_mean", "ease_sum", "subject"])
+def test_a_subscale_named_like_another_column_is_refused(name):
+    """It took the place of the score."""
+    with pytest.raises(ValueError, match=f"subscales: '{name}' is another column of the scores"):
+        Questionnaire("ease", ["a", "b"], 1, 5, subscales={name: ["a"]})
+
+
+def test_weights_of_somebody_who_did_not_answer_are_refused(tlx):
+    """They were dropped in silence."""
+    weights = weights_of(s1=WEIGHTS, s2=WEIGHTS, s3=WEIGHTS)
+    with pytest.raises(ValueError, match=r"weights: \['s3'\] did not answer"):
+        score(tlx, NASA_TLX, **WHO, weights=weights)

@@ -385,3 +385,18 @@ def test_whatever_is_missing_is_named_or_left_out(n, k, data):
     assert np.isfinite(kept).all(axis=None)
     assert kept.index.tolist() == np.flatnonzero(complete).tolist()
     assert sorted([*kept.index, *excluded]) == list(range(n))
+
+
+def test_an_adjustment_of_pairs_that_are_not_reported_is_refused():
+    """It had no effect with several factors."""
+    result = tl.repeated_measures(drawn(), **COLUMNS, between="group")
+    assert "group was" in result.apa()
+    with pytest.raises(ValueError, match=r"apa\(adjust='none'\) is for one factor"):
+        result.apa("none")
+
+
+def test_a_factor_named_like_a_statistic_is_refused_with_its_name():
+    """pandas said that columns overlap."""
+    result = tl.repeated_measures(drawn().rename(columns={"group": "n"}), **COLUMNS, between="n")
+    with pytest.raises(ValueError, match="'n' is the name of a factor and of a statistic; rename"):
+        result.descriptives()

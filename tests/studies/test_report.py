@@ -201,6 +201,35 @@ def test_every_head_names_the_level_of_its_intervals(fit):
     assert "CI low" in printed(mixed)
 
 
+def test_several_analyses_have_the_columns_of_one():
+    """Corrected and uncorrected df and p stood under the same heads."""
+    frame = frame_of()
+    both = {name: tl.repeated_measures(frame.query("task == @name"), **PART) for name in TASKS}
+    found = tl.report(both)
+    (table,) = found.tables.values()
+    (_, single, _) = one_way().tables.values()
+    assert [*printed(table)] == ["of", *printed(single)]
+    assert found.table()["p_gg"].tolist() == [both[name].tests["p_gg"].item() for name in TASKS]
+    (pair,) = tl.report({"x": tl.paired_t_test(ONE, **PART)}).tables.values()
+    assert [*printed(pair)][:2] == ["of", "a"]
+
+
+def test_no_two_columns_have_one_head():
+    """The corrected p stood under "p", beside p."""
+    heads = [*printed(one_way().table())]
+    assert len({*heads}) == len(heads)
+    assert {"p", "p corrected", "df1", "df1 corrected"} <= {*heads}
+
+
+def test_who_was_left_out_is_named_beside_a_table():
+    """Equivalence and Bayes factors did not say it."""
+    frame = ONE.assign(score=ONE["score"].where(ONE["person"] != 3))
+    for test, more in ((tl.equivalence, {"bound": 1.0}), (tl.bayes_factor, {})):
+        found = tl.report(test(frame, **PART, missing="listwise", **more))
+        assert found.message == "Left out for missing scores: 1 participant (3)."
+        assert tl.report(test(ONE, **PART, **more)).message == ""
+
+
 def test_a_column_whose_name_begins_with_p_holds_no_p_values():
     """Robot performance was printed as a p-value."""
     text = printed(pd.DataFrame({"p_r": [1.0, 0.35], "p_h": [-0.2, 0.41], "shapiro_p": 0.17}))

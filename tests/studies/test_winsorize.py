@@ -61,3 +61,10 @@ def test_order_is_kept_inner_values_are_not_touched(values, outside, to):
     assert ((new >= low) & (new <= high)).all()
     changed = np.column_stack([np.flatnonzero(~inside), x[~inside], new[~inside]])
     np.testing.assert_array_equal(found.changes[["subject", "old", "new"]], changed)
+
+
+def test_two_rows_of_a_cell_are_refused():
+    """They counted twice, and moved the limits."""
+    frame = pd.DataFrame({"pid": [1, 2, 3, 3], "scheme": "A", "error": [1.0, 2.0, 3.0, 3.0]})
+    with pytest.raises(ValueError, match="more than one row for a cell, such as row 3; average"):
+        winsorize(frame, "error", "scheme", "pid", outside="sd", k=2.0, to="limit")

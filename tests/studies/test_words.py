@@ -111,3 +111,17 @@ def test_one_participant_and_several():
     for rows, words in (([3], "1 participant (1)."), ([3, 5], "2 participants (1, 2).")):
         result = tl.repeated_measures(frame.drop(index=rows), **COLUMNS, missing="listwise")
         assert result.apa().endswith(f"Left out for missing scores: {words}")
+
+
+def test_counts_beside_a_row_without_any_are_whole():
+    """One measure without a test made "n 10.00, df1 1.00" of the others."""
+    frame = pd.DataFrame({"n": [10.0, np.nan], "k": [2.0, np.nan], "df1": [1.0, np.nan]})
+    texts = printed(frame)
+    assert texts.to_dict("list") == {"n": ["10", ""], "k": ["2", ""], "df1": ["1", ""]}
+
+
+def test_a_bayes_factor_of_any_size_is_seen():
+    """That of 0.0004 beside greater ones was 0.00."""
+    texts = printed(pd.DataFrame({"bf01": [3.1, 0.0004, 1e-15], "bf10": [0.32, 2500.0, 1e15]}))
+    assert texts["bf01"].tolist() == ["3.1", "0.0004", "1e-15"]
+    assert texts["bf10"].tolist() == ["0.32", "2.5e+03", "1e+15"]

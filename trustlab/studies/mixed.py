@@ -5,6 +5,7 @@ The scores of a participant have the covariance σ² (I + ρ 11ᵀ), where ρ is
 participants over the residual variance σ².
 """
 
+import re
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cache
@@ -30,7 +31,7 @@ from trustlab.studies.table import (
     read_cells,
     read_factors,
 )
-from trustlab.studies.words import apa_number, apa_p, effect_text
+from trustlab.studies.words import apa_number, apa_p, effect_text, left_out
 
 # Ratios of variances between which a minimum of the deviance is bracketed.
 RATIOS = np.concatenate([[0.0], np.exp(np.linspace(-16.0, 23.0, 14))])
@@ -127,6 +128,8 @@ class MixedModel(Tested):
         Index cell; columns mean, se, ci_low, ci_high (95 %, t with the least df2).
     covariance : numpy.ndarray, shape (cells, cells)
         Of the means.
+    excluded : tuple
+        Subjects without any score.
     """
 
     dv: Hashable
@@ -134,6 +137,7 @@ class MixedModel(Tested):
     tests: pd.DataFrame
     means: pd.DataFrame
     covariance: np.ndarray
+    excluded: tuple
     title = "Mixed model, random intercept per subject"
 
     def pairs(self, factor: Hashable = None, at: Hashable = None) -> pd.DataFrame:
@@ -153,7 +157,8 @@ class MixedModel(Tested):
             Columns level (of `at`), a, b, mean_difference (a − b), se, t, p, ci_low, ci_high (95 %,
             unadjusted), df, p_bonferroni, p_holm, d_z (over √2 residual standard deviations; NaN
             between groups) with its interval, d_z_low, d_z_high (95 %), and d_av (over the standard
-            deviation of a score).
+            deviation of a score). df is that of the factor's F; of groups at a level within
+            subjects Satterthwaite's, exactly so where no cell is missing.
 
         Raises
         ------
@@ -164,8 +169,13 @@ class MixedModel(Tested):
         pairs, *parts = level_pairs(self.design, factor, at)
         weights = khatri_rao(*parts).T
         difference, se = weights @ self.means["mean"], standard_errors(weights, self.covariance)
-        df = self.tests.set_index("effect").loc[str(factor), "df2"]
-        between = factor in self.design.between
+        df2 = self.tests.set_index("effect")["df2"]
+        df, between = df2[str(factor)], factor in self.design.between
+        if between and at in self.design.within:
+            # The variances of a subject's mean, and of its score at a level about the mean.
+            inside, k = self.residual_variance / len(parts[1]), len(self.design.within[at])
+            mean, level = self.subject_variance + inside, (k - 1) * inside
+            df = (mean + level) ** 2 / (mean**2 / df + level**2 / df2[str(at)])
         sd = np.nan if between else np.sqrt(2.0 * self.residual_variance)
         both = np.sqrt(self.subject_variance + self.residual_variance)
         table = compared(pairs, difference, se, df, sd).assign(d_av=difference / both)
@@ -177,6 +187,8 @@ class MixedModel(Tested):
         return (
             f"{mark(self.origin)}A mixed model of {self.dv} with a random intercept per subject "
             f"(N = {self.n}, {counted(self.missing_cells, 'cell')} missing): {effects}."
+            f"{' The variance between subjects is estimated as zero.' * self.singular}"
+            f"{left_out(self.excluded)}"
         )
 
 
@@ -231,7 +243,9 @@ def mixed_model(
     """
     table, levels, groups = read_factors(frame, dv, within, subject, between, order)
     factors = groups | levels
-    scores = read_cells(table, factors, dv, subject).dropna(how="all")
+    scores = read_cells(table, factors, dv, subject)
+    answered = scores.notna().any(axis=1)
+    excluded, scores = tuple(scores.index[~answered]), scores[answered]
     there = scores.notna().to_numpy()
     for cell in scores.columns[~there.any(axis=0)]:
         raise ValueError(f"within: no subject has a score in cell {cell!r} of {[*factors]}")
@@ -247,9 +261,13 @@ def mixed_model(
         tested = contrasts(factors, names)
         effect = tested.T @ fit.beta
         chi2 = float(effect @ np.linalg.solve(tested.T @ covariance @ tested, effect))
-        df1, df2 = effect.size, between_df if {*names} <= {*groups} else within_df
+        df1, df2, d = effect.size, within_df, scores.shape[1] // design.combinations - 1
+        if {*names} <= {*groups}:
+            df2, d = between_df, 1
         f = chi2 / df1
-        low, high, *_ = partial_eta_interval(f, df1, df2)
+        # λ = n d η²/(1 − η²) in the population, as in `repeated_measures`.
+        strengths = np.array(partial_eta_interval(f, df1, df2)[2:])
+        low, high = strengths / (strengths + df2 + design.combinations * d)
         rows.append(
             {
                 "effect": effect_name(names),
@@ -277,7 +295,8 @@ def mixed_model(
     means = means.rename(columns={"estimate": "mean"})[["mean", "se", "ci_low", "ci_high"]]
     means.index = pd.Index(map(effect_name, product(*factors.values())), name="cell")
     origin = origin_of(frame)
-    return MixedModel(dv, design, labelled(tests, origin), labelled(means, origin), covariance)
+    tables = labelled(tests, origin), labelled(means, origin)
+    return MixedModel(dv, design, *tables, covariance, excluded)
 
 
 # Models by formula.
@@ -401,11 +420,18 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
     from formulaic import model_matrix
     from formulaic.errors import FormulaicError
 
+    frame = frame.copy()
+    for name, column in frame.items():
+        if isinstance(column.dtype, pd.CategoricalDtype):
+            frame[name] = column.cat.remove_unused_categories()
+        elif isinstance(column.dtype, pd.StringDtype):
+            frame[name] = column.astype(object)  # formulaic knows only some kinds of text
     try:
         # A missing label would be zeros, as if it were the reference level.
         matrices = model_matrix(formula, frame, na_action="drop")
     except (FormulaicError, LookupError, ValueError) as error:
-        raise ValueError(f"formula {formula!r}: {error} (columns are {[*frame]})") from None
+        said = re.sub(r"\x1b\[[\d;]*m", "", str(error))  # colours of a terminal
+        raise ValueError(f"formula {formula!r}: {said} (columns are {[*frame]})") from None
     score, x = (pd.DataFrame(part, dtype=float) for part in (matrices.lhs, matrices.rhs))
     if score.shape[1] != 1:
         raise ValueError(f"formula {formula!r}: the score must be one column of numbers")

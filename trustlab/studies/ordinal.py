@@ -5,7 +5,7 @@ Logit P(y ≤ k) = θ_k − x β − σ v, v ~ N(0, 1) by person; two categories
 over v are taken by adaptive Gauss–Hermite quadrature (Pinheiro and Bates, 1995).
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -29,6 +29,7 @@ from trustlab.studies.table import (
     column_of,
     label_column,
     labelled,
+    names_of,
     origin_of,
     read_factors,
 )
@@ -251,7 +252,7 @@ def ordinal_model(
     subject: Hashable = "subject",
     *,
     between: Columns = None,
-    covariates: Sequence[Hashable] = (),
+    covariates: Columns = None,
     order: Any = None,
     points: int = 15,
 ) -> OrdinalModel:
@@ -269,7 +270,7 @@ def ordinal_model(
         Columns of the factors within and between people, with all their interactions; [] is none.
     subject : hashable
         Column with the people.
-    covariates : sequence of hashable
+    covariates : hashable or list of hashable, optional
         Columns with numbers, such as the trial.
     order : sequence or dict, optional
         The order of a single factor's levels, or of several factors' by name; the first is the
@@ -307,8 +308,10 @@ def ordinal_model(
     if n < 3:
         raise ValueError(f"subject: column {subject!r} has {n} people; at least 3 needed")
     answers, categories = _categories(label_column(data, "dv", dv))
-    factors = groups | inside
+    factors, covariates = groups | inside, names_of(covariates)
     for name in covariates:
+        if name in (dv, subject, *factors):
+            raise ValueError(f"covariates: column {name!r} has another role already")
         finite_array("covariates", column_of(data, "covariates", name))
     crossed = " * ".join(f"`{name}`" for name in factors)
     formula = " + ".join([f"`{dv}` ~ {crossed}", *(f"`{name}`" for name in covariates)])

@@ -76,7 +76,7 @@ def paired_t_test(
     order : sequence, optional
         The two conditions, a then b. By default sorted, or in the order of a categorical column.
     confidence : float
-        Level of the intervals.
+        Level of the intervals; the sentence judges p at 1 − confidence.
     missing : {"raise", "listwise"}
         Whether a missing score is an error, or its subject is left out and named in the result.
 
@@ -188,11 +188,7 @@ def equivalence(
     if alpha >= 0.5:
         raise ValueError(f"alpha must be below 0.5, as the interval has 1 − 2 alpha, got {alpha}")
     result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
-    pairs, df = result.pairs(confidence=1.0 - 2.0 * alpha), result.n - 1
-    for pair in pairs[pairs["t"].isna()].itertuples():
-        raise ValueError(
-            f"dv: every subject has the same difference between {pair.a!r} and {pair.b!r}"
-        )
+    pairs, df = _tested(result, 1.0 - 2.0 * alpha), result.n - 1
     mean = pairs["mean_difference"]
     error = (pairs["ci_high"] - mean) / special.stdtrit(df, 1.0 - alpha)
     t_low, t_high = (mean + bound) / error, (mean - bound) / error
@@ -216,6 +212,17 @@ def equivalence(
     )
     level = pairs.attrs["confidence"]
     return labelled(table, result.origin, excluded=result.excluded, confidence=level)
+
+
+def _tested(result: RepeatedMeasures, confidence: float = 0.95) -> pd.DataFrame:
+    """Return the pairs of conditions, all of which have a t."""
+    pairs = result.pairs(confidence=confidence)
+    for pair in pairs[pairs["t"].isna()].itertuples():
+        raise ValueError(
+            f"dv: every subject has the same difference between {pair.a!r} and {pair.b!r}; leave "
+            "one out by selecting rows"
+        )
+    return pairs
 
 
 def bayes_factor(
@@ -243,7 +250,8 @@ def bayes_factor(
     order : sequence, optional
         The order of the conditions.
     missing : {"raise", "listwise"}
-        Whether a missing cell is an error, or its subject is left out.
+        Whether a missing cell is an error, or its subject is left out; `.attrs["excluded"]` names
+        them.
 
     Returns
     -------
@@ -254,7 +262,8 @@ def bayes_factor(
     Raises
     ------
     ValueError
-        If the table is refused (see `repeated_measures`) or an argument is out of range.
+        If the table is refused (see `repeated_measures`), every subject has the same difference, or
+        an argument is out of range.
 
     References
     ----------
@@ -275,7 +284,7 @@ def bayes_factor(
     result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
     rows = [
         (f"{pair.a} − {pair.b}", pair.t, log_jzs_bayes_factor(pair.t, result.n, scale))
-        for pair in result.pairs().itertuples()
+        for pair in _tested(result).itertuples()
     ]
     table = pd.DataFrame(rows, columns=["comparison", "statistic", "log_bf10"])
     with np.errstate(over="ignore"):
@@ -285,14 +294,12 @@ def bayes_factor(
 
 def log_jzs_bayes_factor(t: float, n: int, scale: float) -> float:
     """
-    Return ln BF10 of a paired t of n subjects (Rouder and others 2009, Equation 1); NaN for a NaN.
+    Return ln BF10 of a paired t of n subjects (Rouder and others 2009, Equation 1).
 
     d_z has a Cauchy prior: variance g, with g = scale²/χ²₁. The integral over u = ln g is a
     trapezoidal sum, which converges exponentially because the integrand is analytic and vanishes at
     both ends; it is worked out in logarithms, so that no t is too large.
     """
-    if np.isnan(t):
-        return np.nan
     df = n - 1
     # Beyond these ends the integrand is below e⁻⁵⁰ of its peak: it falls as exp(−scale²/2g) to the
     # left and, past the variance that t speaks for, as 1/g to the right.

@@ -64,9 +64,17 @@ def d_z_interval(t: np.ndarray, df: float, scale: Any, level: float = 0.95) -> l
     Return the limits of an interval of d_z = t · scale, by the noncentral t distribution.
     """
     # Beyond 1000 both limits are proportional to t, to four digits.
-    factor = scale * np.maximum(np.abs(t) / 1e3, 1.0)
-    shares = (0.5 + 0.5 * level, 0.5 - 0.5 * level)
-    return [special.nctdtrinc(df, share, np.clip(t, -1e3, 1e3)) * factor for share in shares]
+    factor, t = scale * np.maximum(np.abs(t) / 1e3, 1.0), np.clip(t, -1e3, 1e3)
+    limits = []
+    for share in (0.5 + 0.5 * level, 0.5 - 0.5 * level):
+        limit = special.nctdtrinc(df, share, t)
+        # Near t = 0 it is some percent off. Normal quantiles of the share are nearly linear in it.
+        for _ in range(3):
+            step = 1e-3 * (1.0 + np.abs(limit))
+            z, next_z = (special.ndtri(special.nctdtr(df, limit + s, t)) for s in (0.0, step))
+            limit = limit + (special.ndtri(share) - z) * step / (next_z - z)
+        limits.append(limit * factor)
+    return limits
 
 
 def level_pairs(

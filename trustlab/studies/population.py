@@ -248,6 +248,10 @@ def population_of(
             )
         pilot_mean, covariance, origin = _pilot(data, columns)
         mean = pilot_mean if mean is None else mean
+    elif columns.order is not None or (columns.dv, columns.subject) != ("value", "subject"):
+        raise ValueError(
+            "columns: dv, subject and order are of data=; without it the order is that of mean"
+        )
     if mean is None or covariance is None:
         raise ValueError("give mean= and covariance= of the conditions, or data= to take both from")
     known = [*covariance.index] if isinstance(covariance, pd.DataFrame) else []
@@ -257,7 +261,7 @@ def population_of(
         mean = pd.Series(values, known if same else range(1, len(values) + 1))
     means = pd.Series(mean, dtype=float)
     # Of one factor a label may be a tuple, which an index takes for labels of several.
-    levels: Levels = {"condition": (*means.index,)}
+    levels: Levels = {factors[0]: (*means.index,)}
     between: Levels = {}
     if several:
         named = [*means.index.names]
@@ -266,6 +270,8 @@ def population_of(
                 f"mean must be indexed by {', '.join(map(str, factors))}, in this order, got "
                 f"{named}"
             )
+        for cell in means.index[means.index.duplicated()]:
+            raise ValueError(f"mean: cell {cell!r} occurs twice")
         levels = {name: (*means.index.unique(i),) for i, name in enumerate(factors)}
         means, rows = means.reindex(pd.MultiIndex.from_product(levels.values())), means.index
         for cell in means.index[means.isna()]:

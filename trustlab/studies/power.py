@@ -528,7 +528,7 @@ def smallest_n(
     mask = None if pair is None else claims_mask([pair], population)
     usual, tests = (USUAL_TEST, TESTS) if pair is None else ("holm", ADJUSTMENTS)
     test = one_of("test", usual if test is None else test, tests)
-    effect, name = "condition", "F"
+    effect, name = effect_name(population.within), "F"
     if pair is not None:
         effect, name = "pairs", f"{pair[0]} – {pair[1]}"
 

@@ -60,8 +60,9 @@ class Questionnaire:
     Raises
     ------
     ValueError
-        If items repeat, a reversed item or one of a subscale is not among them, `low` is not below
-        `high`, or `step` does not divide the scale into equal parts.
+        If items repeat, a reversed item or one of a subscale is not among them, a subscale has the
+        name of another column, `low` is not below `high`, or `step` does not divide the scale into
+        equal parts.
 
     Examples
     --------
@@ -93,6 +94,9 @@ class Questionnaire:
         for name, part in {"reversed": self.reversed, **self.subscales}.items():
             if unknown := {*labels_of(name, part, name in self.subscales)} - {*items}:
                 raise ValueError(f"{name}: {unknown.pop()!r} is none of the items {items}")
+        own = {f"{self.name}_{kind}" for kind in ("mean", "sum", "raw", "weighted")}
+        for name in {*self.subscales} & {*own, "subject", "condition"}:
+            raise ValueError(f"subscales: {name!r} is another column of the scores; rename it")
         low, high = in_order("low", self.low, "high", self.high)
         steps = 1.0 if self.step is None else (high - low) / positive("step", self.step)
         if steps < 1.0 or abs(steps - round(steps)) > 1e-9:
@@ -266,7 +270,8 @@ def score(
     ------
     ValueError
         Naming the item, and its row or subject, of an answer that is missing, not a number or not
-        on the scale, or whose weights cannot come from pairwise choices.
+        on the scale, or whose weights are of nobody who answered or cannot come from pairwise
+        choices.
 
     References
     ----------
@@ -311,6 +316,8 @@ def score(
             raise ValueError(f"weights: the items of {name!r} are not weighted")
         w = _read("weights", weights, questionnaire.items, subject, None)
         w.index, people = (frame.index.get_level_values(0) for frame in (w, whole))
+        if strangers := [*w.index.difference(people)]:
+            raise ValueError(f"weights: {strangers} did not answer; leave their weights out")
         w = w.reindex(people).set_axis(whole.index)
         # Landau (1953): of six items, the j chosen least meet each other j(j − 1)/2 times.
         wins, least = np.sort(w).cumsum(axis=1), np.cumsum(range(6))

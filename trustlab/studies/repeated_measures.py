@@ -138,6 +138,8 @@ class RepeatedMeasures(Tested):
             parts.append(pd.DataFrame(stats))
         table = pd.concat(parts, ignore_index=True)
         names = ["condition"] if self.one_way else [*self.between, *self.within]
+        for name in {*names} & {*table}:
+            raise ValueError(f"{name!r} is the name of a factor and of a statistic; rename it")
         cells = [*product(*self.between.values(), *self.within.values())]
         return labelled(pd.DataFrame(cells, columns=names, dtype=object).join(table), self.origin)
 
@@ -251,7 +253,14 @@ class RepeatedMeasures(Tested):
         adjust : {"holm", "bonferroni", "none"}
             Which adjustment of the pairwise p-values to report; with several factors, every effect
             is reported, and no pairs.
+
+        Raises
+        ------
+        ValueError
+            If an adjustment is unknown, or is chosen where no pairs are reported.
         """
+        if adjust != "holm":
+            self._refuse_several_factors(f"apa(adjust={adjust!r})")
         return apa_report(self, adjust)
 
     def plot(self, axes=None):

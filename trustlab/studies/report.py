@@ -16,7 +16,7 @@ from trustlab.models.checks import of_class, one_of, shown
 from trustlab.models.display import Result
 from trustlab.models.extras import extra
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
-from trustlab.studies.words import apa_number, in_words, printed
+from trustlab.studies.words import apa_number, in_words, left_out, printed
 
 # What LaTeX has no letter for, or would misread; longer signs first.
 _LATEX = {"ηp²": r"$\eta_p^2$", "ηG²": r"$\eta_G^2$", "d_z": "$d_z$", "²": "$^2$", "−": "$-$"}
@@ -172,7 +172,7 @@ def report(
         labels = ["condition"] if result.one_way else [*result.between, *result.within]
         tables = {
             "Descriptive statistics": result.descriptives()[[*labels, *DESCRIBED]],
-            "Analysis of variance": result.table()[TESTED],
+            "Analysis of variance": _to_print(result),
         }
         for factor in (*result.within, *result.between):
             of_factor = "" if result.one_way else f" of {factor}"
@@ -197,6 +197,12 @@ def _table_of(result: Any) -> pd.DataFrame:
     return result.table()
 
 
+def _to_print(result: Any) -> pd.DataFrame:
+    """Return what is printed of a result: its table, of an analysis of variance part of it."""
+    table = result.table()
+    return table[TESTED] if isinstance(result, RepeatedMeasures) else table
+
+
 def _side_by_side(
     results: Mapping[Hashable, Any], thresholds: Mapping[Hashable, Any]
 ) -> StudyReport:
@@ -210,7 +216,10 @@ def _side_by_side(
     origins = {_origin(result, whole) for result in results.values()} - {""}
     said = {name: _sentences(result) for name, result in results.items()}
     text = " ".join(f"{name}: {sentences}" for name, sentences in said.items() if sentences)
-    title, table = "Results", whole
+    parts = {name: _to_print(result) for name, result in results.items()}
+    title, table = "Results", pd.concat(parts, names=["of"])
+    if table.index.names[-1] is None:
+        table = table.droplevel(-1)
     if {"value", "stderr"} <= set(whole):
         title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
         rows = []
@@ -239,7 +248,12 @@ def _side_by_side(
 
 
 def _sentences(result: Any) -> str:
-    """Return what a result says of itself: its sentences, or that a fit failed, and why."""
+    """
+    Return what a result says of itself: its sentences, whom a table leaves out, or that a fit
+    failed, and why.
+    """
+    if isinstance(result, pd.DataFrame):
+        return left_out(result.attrs.get("excluded", ())).strip()
     if hasattr(result, "apa"):
         return result.apa()
     if getattr(result, "success", True):

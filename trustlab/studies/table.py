@@ -58,7 +58,7 @@ def numbers_of(column: pd.Series, argument: str) -> np.ndarray:
             raise ValueError(
                 f"{argument}: column {column.name!r} holds {shown(value)} in row "
                 f"{column.index[place]!r}; it must hold finite numbers (pandas.to_numeric converts "
-                "text)"
+                "text, astype(float) truth values)"
             ) from None
     return numbers
 
@@ -262,6 +262,15 @@ def cells_of(levels: Levels) -> list:
     return [cell if len(levels) > 1 else cell[0] for cell in product(*levels.values())]
 
 
+def one_row_a_cell(table: pd.DataFrame, names: list[Hashable], dv: Hashable) -> None:
+    """Refuse a table with two rows of one label in all of these columns."""
+    for row in table.index[table.duplicated(names)]:
+        raise ValueError(
+            f"frame has more than one row for a cell, such as row {row!r}; average the trials of a "
+            f"cell first: frame.groupby({names}, as_index=False)[{dv!r}].mean()"
+        )
+
+
 def read_cells(
     table: pd.DataFrame, levels: Levels, dv: Hashable, subject: Hashable
 ) -> pd.DataFrame:
@@ -271,11 +280,7 @@ def read_cells(
     """
     scores = numbers_of(table[dv], "dv")
     names = [subject, *levels]
-    for row in table.index[table.duplicated(names)]:
-        raise ValueError(
-            f"frame has more than one row for a cell, such as row {row!r}; average the trials of a "
-            f"cell first: frame.groupby({names}, as_index=False)[{dv!r}].mean()"
-        )
+    one_row_a_cell(table, names, dv)
     subjects = table[subject].cat.categories
     values = np.full([len(subjects), *map(len, levels.values())], np.nan)
     values[*(table[name].cat.codes for name in names)] = scores

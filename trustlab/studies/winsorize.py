@@ -9,7 +9,7 @@ from scipy import stats
 
 from trustlab.models.checks import of_class, one_of, positive
 from trustlab.models.display import Result
-from trustlab.studies.table import column_of, label_column, levels_of, numbers_of
+from trustlab.studies.table import column_of, label_column, levels_of, numbers_of, one_row_a_cell
 
 # Which values count as outlying: words for the rule and its k; the middle, or two, and the spread.
 _RULES: dict[str, tuple[str, Callable]] = {
@@ -115,8 +115,8 @@ def winsorize(
     Raises
     ------
     ValueError
-        If a column is unknown, a label is missing, a score is not a finite number, or a rule is
-        unknown or cannot apply to so few or so many equal values.
+        If a column is unknown, a label is missing, a score is not a finite number, a cell has two
+        rows, or a rule is unknown or cannot apply to so few or so many equal values.
 
     Examples
     --------
@@ -137,6 +137,7 @@ def winsorize(
     people = label_column(data, "subject", subject)
     scores = numbers_of(column_of(data, "dv", dv), "dv")
     conditions = label_column(data, "within", within)
+    one_row_a_cell(data, [subject, within], dv)
     changes, limits = [], []
     for condition in levels_of(conditions, "within"):
         rows = np.flatnonzero((conditions == condition) & np.isfinite(scores))

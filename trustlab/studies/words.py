@@ -120,7 +120,10 @@ def printed(table: pd.DataFrame) -> pd.DataFrame:
         texts[name] = np.where(frame[name].isna(), "", _rounded(frame, name))
     for name in texts.columns.intersection(["parameter", "correction"]):
         texts[name] = texts[name].map(in_words)
-    texts = texts.rename(columns=in_words)
+    words = texts.columns.map(in_words)
+    # Two columns of one head, such as corrected and uncorrected p, keep their own names.
+    own = texts.columns.str.replace("_", " ")
+    texts.columns = words.where(~words.duplicated(keep=False), own)
     levels = {*frame.get("confidence", [table.attrs.get("confidence", 0.95)])}
     level = f"{100.0 * levels.pop():g}% " if len(levels) == 1 else ""
     texts.columns = texts.columns.str.replace("95% ", level)
@@ -134,8 +137,11 @@ def _rounded(frame: pd.DataFrame, name: str) -> list[str]:
         return [apa_p(value).removeprefix("p ").removeprefix("= ") for value in values]
     if name.startswith(("eta2_", "epsilon_")):
         return [*map(share, values)]
-    if name.startswith("df") and not (values % 1.0).any():
-        return [*map(df_text, values)]
+    if name.startswith("bf"):  # Bayes factors, of any size
+        return [f"{value:.3g}" for value in values]
+    counts = name.startswith("df") or name in ("n", "k")
+    if counts and not (values[~np.isnan(values)] % 1.0).any():
+        return [f"{value:.0f}" for value in values]
     sizes: Any = [values]
     if name in _ESTIMATES:
         errors = frame.get("stderr", frame.get("se"))
@@ -215,7 +221,7 @@ def apa_report(result: Any, adjust: str = "holm") -> str:
         f"{', correction of degrees of freedom: ' * corrected}{rule}): {effects}."
     )
     if not result.one_way:
-        return text + _left_out(result)
+        return text + left_out(result.excluded)
     row = rows[0]
     if np.isnan(row["mauchly_p"]) and row["df1"] > 1:
         text += " Mauchly's test of sphericity is not defined."
@@ -241,7 +247,7 @@ def apa_report(result: Any, adjust: str = "holm") -> str:
             rest.append(f"{a} and {b} ({'no test: one difference' if np.isnan(p) else apa_p(p)})")
     found = f" {'; '.join(significant)}." if significant else ""
     none = f" No significant difference between {listed(rest)}." if rest else ""
-    return f"{text} Paired t-tests ({kind}):{found}{none}{_left_out(result)}"
+    return f"{text} Paired t-tests ({kind}):{found}{none}{left_out(result.excluded)}"
 
 
 def condition_means(stats: pd.DataFrame) -> list[str]:
@@ -253,11 +259,12 @@ def condition_means(stats: pd.DataFrame) -> list[str]:
     ]
 
 
-def _left_out(result: Any) -> str:
-    if not result.excluded:
+def left_out(excluded: tuple) -> str:
+    """Return the sentence, after a blank, about subjects left out; "" without any."""
+    if not excluded:
         return ""
-    people = counted(len(result.excluded), "participant")
-    return f" Left out for missing scores: {people} ({listed(result.excluded)})."
+    people = counted(len(excluded), "participant")
+    return f" Left out for missing scores: {people} ({listed(excluded)})."
 
 
 def apa_pair(result: Any) -> str:
@@ -265,12 +272,14 @@ def apa_pair(result: Any) -> str:
     analysis, stats = result.analysis, result.descriptives()
     a, b = condition_means(stats)
     digits = decimals_of(stats["sd"], 3)
-    verb = "differed significantly" if result.p < 0.05 else "did not differ significantly"
+    alpha = round(1.0 - result.confidence, 12)
+    verb = "differed significantly" if result.p < alpha else "did not differ significantly"
+    at = "" if alpha == 0.05 else f" (α = {alpha:g})"
     difference = interval(result.ci_low, result.ci_high, digits, level=100 * result.confidence)
     d_z = interval(result.d_z_low, result.d_z_high, level=100 * result.confidence)
     return (
-        f"{mark(analysis.origin)}{analysis.dv} {verb} between {a} and {b}, "
+        f"{mark(analysis.origin)}{analysis.dv} {verb}{at} between {a} and {b}, "
         f"t({result.df}) = {apa_number(result.t)}, {apa_p(result.p)}, mean difference "
         f"{apa_number(result.mean_difference, digits)}, {difference}, d_z = "
-        f"{apa_number(result.d_z)}, {d_z}.{_left_out(analysis)}"
+        f"{apa_number(result.d_z)}, {d_z}.{left_out(analysis.excluded)}"
     )
