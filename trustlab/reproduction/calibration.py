@@ -129,7 +129,7 @@ class Calibration(Result):
 
     @property
     def assumptions(self) -> dict[str, float]:
-        """Medians of the posterior, for `simulated_effects`."""
+        """Medians of the posterior, for `simulated_effects`; of `extrapolated` no estimates."""
         return self.posterior.median().to_dict()
 
     @property
@@ -139,11 +139,13 @@ class Calibration(Result):
 
     @property
     def message(self) -> str:
-        """What this is, in a line."""
+        """What this is, in a line, and of which assumptions medians are no estimate."""
+        extrapolated = ", ".join(self.extrapolated)
+        doubt = f"; printed effects lie beyond them all, so that medians are no estimate of {extrapolated}"
         measures = ", ".join(UNITS.get(name, name) for name in self.measures)
         return (
             f"{self.settings['simulations']} simulated studies of {self.settings['n']} simulated "
-            f"operators, given {measures}"
+            f"operators, given {measures}{doubt if extrapolated else ''}"
         )
 
     def table(self) -> pd.DataFrame:
