@@ -141,7 +141,7 @@ class Calibration(Result):
     def message(self) -> str:
         """What this is, in a line, and of which assumptions medians are no estimate."""
         extrapolated = ", ".join(self.extrapolated)
-        doubt = f"; printed effects lie beyond them all, so that medians are no estimate of {extrapolated}"
+        doubt = f"; printed effects lie beyond all, and medians are no estimate of {extrapolated}"
         measures = ", ".join(UNITS.get(name, name) for name in self.measures)
         return (
             f"{self.settings['simulations']} simulated studies of {self.settings['n']} simulated "

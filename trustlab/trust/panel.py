@@ -133,8 +133,8 @@ def panel_of(
     if not number.max() > 0:
         raise ValueError("no event: a person's first row is the rating before it, or before=False")
     signals = table.reindex(columns=["rating", *SIGNALS])
-    ends = ENDS | {"rating": (low, high, "; low and high are its ends")}
-    ends["p_r"] = (*sorted(performance), "; performance has its ends")
+    rated, seen = "; low and high are its ends", "; performance has its ends"
+    ends = ENDS | {"rating": (low, high, rated), "p_r": (min(performance), max(performance), seen)}
     for name, column in signals.items():
         signals[name] = values = pd.to_numeric(column, errors="coerce").astype(float)
         least, most, remedy = ends.get(name, (0.0, 1.0, ""))

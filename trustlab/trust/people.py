@@ -38,10 +38,10 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
         `tl.read_live_study(folder)`.
     recipe : mapping or path, optional
         Of a file, table or study, or a TOML file that holds it: `columns`, which maps person,
-        trial (a number), rating, p_r and further signals of `Event` to the table's names; `low` and `high`,
-        the ends of the scale; `performance`, the values of p_r that are worst and best, 0 and 1
-        when not given; `before`, whether the first row of a person is the rating before the first
-        event; `resolution`; `source`; `cautions`.
+        trial (a number), rating, p_r and further signals of `Event` to the table's names; `low` and
+        `high`, the ends of the scale; `performance`, the values of p_r that are worst and best, 0
+        and 1 when not given; `before`, whether the first row of a person is the rating before the
+        first event; `resolution`; `source`; `cautions`.
 
     Returns
     -------

@@ -179,23 +179,21 @@ def restated_rows(numbers: Numbers) -> Iterator[Row]:
         for id in (id for id in numbers if id.startswith(f"{second}/")):
             number, source = numbers[id], numbers[id.replace(second, first, 1)]
             here, there = Decimal(number.printed), Decimal(source.printed)
-            both = printed_interval(number.printed), printed_interval(source.printed)
-            low, high = (pick(ends) for pick, ends in zip((max, min), zip(*both), strict=True))
+            (least, most), span = map(printed_interval, (number.printed, source.printed))
+            low, high = max(least, span[0]), min(most, span[1])
             verdict, reason = "reproduced", f"{where} has {source.printed}."
             if here not in (there.quantize(here, rule) for rule in ROUNDINGS):
-                verdict, found = (
-                    "within rounding",
-                    f"Numbers from {low:g} to {high:g} round to both.",
-                )
+                verdict = "within rounding" if low < high else "differs"
+                both = f"Numbers from {low:g} to {high:g} round to both."
                 if low >= high:
                     up = f", as {low:g} is rounded up" if low == high else ""
-                    verdict, found = "differs", f"No number rounds to both{up}: one is wrong."
-                reason += f" {found}"
+                    both = f"No number rounds to both{up}: one of the two is wrong."
+                reason += f" {both}"
             yield row_about(
                 number,
                 reason,
                 verdict,
-                (float(there), *both[1]),
+                (float(there), *span),
                 formula="the same number in two places",
                 inputs=f"{source.printed} ({source.id})",
             )
