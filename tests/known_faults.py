@@ -48,7 +48,6 @@ ALLOWED = {
     "RepeatedMeasures.pairs": {"factor": "one factor", "at": "one factor"},
     "bayes_factor": {"missing": "nothing is missing"},
     "order_effects": {"frame": "every row is needed, and other columns are not looked at"},
-    "read_people": {"recipe": "the name has a recipe of its own"},
     "testbeds.Pioneer": {"heading_drift": "positive is a word of the description, not the range"},
     "teleoperation.packet_delay": {"sent": "the answer holds a function"},
     "teleoperation.random_walk_delay": {
@@ -166,7 +165,6 @@ KNOWN = {
     },
     "simulated_effects": {
         "n": "foreign errors, no difference",
-        "trust": "anything is taken, no difference",
     },
     "teleoperation_measures": {
         "sessions": "foreign errors",

@@ -125,6 +125,14 @@ def test_effects_beyond_all_simulations_are_said_to_be_out_of_reach():
     assert row["low"] < TRUE["attention_cost"] < row["high"]
 
 
+def test_the_message_says_which_medians_are_no_estimate():
+    """Of six of the UAV study three are none; only the table said so."""
+    within, beyond = made_up({}), made_up({"p_r": 9.0})
+    assert beyond.extrapolated
+    assert "no estimate" not in within.message
+    assert beyond.message.endswith(f"no estimate of {', '.join(beyond.extrapolated)}")
+
+
 def test_a_calibration_is_given_a_measure_at_least():
     with pytest.raises(ValueError, match="name at least one measure, any of"):
         made_up({}).given()

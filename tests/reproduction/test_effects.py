@@ -83,7 +83,6 @@ def test_assumptions_enter_the_studies_that_they_are_about():
         return frame.set_index("id").loc["table_3.1/error/MI-M", "simulated"]
 
     plain = error({})
-    assert error({"attention_cost": 0.2}) == plain
     assert error({"adapting": 1.0}) != plain
     people = TeleoperatorPopulation("preliminary")
     rows = people.draw(3, 2, {"compensation": 2.0}).to_dict("records")
@@ -97,6 +96,28 @@ def test_assumptions_enter_the_studies_that_they_are_about():
     assert error({"compensation": 2.0}) == pytest.approx(np.mean(gaps), rel=1e-12)
     with pytest.raises(ValueError, match="an assumption must be one of"):
         tl.simulated_effects({"hurry": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"assumptions": {"fatigue_of_hand": 0.3}, "only": "table_2.6"}, "'attention_cost'"),
+        ({"assumptions": {"attention_cost": 0.2}, "only": "table_3.1"}, "'fatigue_of_hand'"),
+        ({"trust": tl.trust.MODELS["beta"](), "only": "table_2.6"}, "trust has no effect"),
+        ({"trust": "nonsense", "only": "table_3.1"}, "trust must be of class TrustInLoop"),
+    ],
+)
+def test_what_has_no_effect_on_the_chosen_studies_is_refused(arguments, message):
+    """It was taken, and named in the origin of the table."""
+    with pytest.raises(ValueError, match=message):
+        tl.simulated_effects(**arguments, n=3)
+
+
+def test_the_table_says_how_many_operators_were_run():
+    """It said 3 where 5 were run, so that every condition comes first equally often."""
+    frame = tl.simulated_effects(n=3, only="table_2.6")
+    assert frame.attrs["n"] == {"ground_robot": 5}
+    assert frame["operators"].tolist() == [5]
 
 
 UAV = {"conditions": ["C1", "C2", "C3", "C4", "C5"], "testbed": "uav_following"}

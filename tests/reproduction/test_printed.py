@@ -74,6 +74,9 @@ def test_numbers_beside_printed_ones():
     assert list(table["verdict"]) == ["reproduced", "within 2 s.e.", "differs"]
     with pytest.raises(ValueError, match="only on one side: b"):
         compare({"a": 1.0, "b": 1.0}, {"a": "1"})
+    for errors in ({"A": 0.1}, {"a": -0.1}):  # without them, a verdict of "differs"
+        with pytest.raises(ValueError, match="stderr"):
+            compare({"a": 1.05}, {"a": "1.00"}, errors)
     assert compare({"a": 0.394}, {"a": "0.390"})["verdict"].tolist() == ["differs"]
     for number in (0.390, "about one"):  # 0.394 would round to 0.39, but not to 0.390
         with pytest.raises(ValueError, match="as printed"):

@@ -423,3 +423,22 @@ def test_a_search_that_stops_outside_of_the_likelihood_gives_no_end():
     drawn = tl.read_people(table, {"low": 1, "high": 7})
     fit = tl.fit_trust(drawn, "performance")
     assert fit.table().set_index("parameter").loc["a", "ci_high"] == pytest.approx(0.4416, abs=2e-3)
+
+
+def test_a_model_that_gives_no_number_is_no_fit():
+    """Its defaults were the estimates, and a note said that the data leave them open."""
+
+    class Broken(tl.trust.LinearTrust):
+        def transition(self, event):
+            return np.nan * event.p_r, event.p_r
+
+    with pytest.raises(ValueError, match="Broken predicts NaN, not a rating"):
+        tl.fit_trust(panel(5), Broken)
+
+
+def test_a_model_without_a_method_says_which():
+    """The error was empty."""
+    with pytest.raises(NotImplementedError, match="TrustDynamics has no method start"):
+        tl.fit_trust(panel(5), tl.trust.TrustDynamics)
+    with pytest.raises(NotImplementedError, match="LinearTrust has no method transition"):
+        tl.fit_trust(panel(5), tl.trust.LinearTrust)

@@ -151,14 +151,53 @@ def test_a_live_study_is_a_panel(tmp_path):
     assert "scripted hands" in panel.source
 
 
-def test_rows_without_a_name_are_one_persons():
-    """Their ratings stay with them, and the others' with the others."""
-    rows = {"person": [np.nan, np.nan, "b", "b"], "trial": [0, 1, 0, 1]}
-    table = pd.DataFrame({**rows, "rating": [0.1, 0.2, 0.8, 0.9], "p_r": 1.0})
-    panel = tl.read_people(table)
-    assert len(panel) == len(panel.ratings) == 2
-    assert panel.people[1] == "b"
-    np.testing.assert_array_equal(panel.ratings[1], [0.8, 0.9])
+def rows(**columns):
+    """Two people in three rows each, the first before any event."""
+    table = {"person": list("aaabbb"), "trial": [0, 1, 2] * 2, "rating": 0.5, "p_r": 1.0}
+    return pd.DataFrame(table | columns)
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"person": [*"aa", None, *"bbb"]}, "row 2 .* no person"),
+        ({"trial": [0, 1, None, 0, 1, 2]}, "row 2 .* no number of a trial"),
+        ({"trial": ["first", "2", "3"] * 2}, "row 0 .* no number of a trial"),
+        ({"trial": [0, 1, 1, 0, 1, 2]}, "row 2 .* a second time"),
+        ({"rating": ["a", *[0.5] * 5]}, "row 0 .* rating 'a'"),
+        ({"p_r": [np.nan, 1, 1, np.nan, np.nan, 1]}, "row 4 .* p_r nan"),
+        ({"p_h": 55.0}, "row 1 .* p_h 55.0, outside the scale from 0 to 1"),
+        ({"followed": 7.0}, "followed 7.0"),
+        ({"dt": -1.0}, "dt -1.0, outside the scale from 0 to inf"),
+        ({"mode": 3.0}, "mode 3.0"),
+        ({"seen": -4.0}, "seen -4.0"),
+    ],
+)
+def test_rows_that_are_no_trials_are_refused(columns, message):
+    """They were counted as further trials, sorted by the alphabet, or fitted as they were."""
+    with pytest.raises(ValueError, match=message):
+        tl.read_people(rows(**columns))
+
+
+def test_trials_in_text_are_in_the_order_of_numbers():
+    """Trial "10" came before trial "9"."""
+    table = rows(trial=["9", "10", "11"] * 2, rating=[0.1, 0.2, 0.3] * 2)
+    np.testing.assert_array_equal(tl.read_people(table).ratings[0], [0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("name", "recipe", "message"),
+    [
+        ("hybrid_vr", {"low": 1, "high": 99}, "'hybrid_vr' .* recipe of its own"),
+        (rows(), {"before": "no"}, "before must be True or False"),
+        (rows(), {"performance": [1, 1]}, "performance"),
+        (rows()[::3], {}, "no event"),
+    ],
+)
+def test_a_recipe_without_effect_or_sense_is_refused(name, recipe, message):
+    """ "no" was taken for True, and a public set's recipe for nothing."""
+    with pytest.raises(ValueError, match=message):
+        tl.read_people(name, recipe)
 
 
 def test_a_recipe_may_name_another_column_beside_one_of_the_signals_name():

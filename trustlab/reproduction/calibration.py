@@ -32,9 +32,9 @@ from trustlab.models.display import Result
 from trustlab.models.files import write_atomically
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.reproduction.effects import (
-    EVERY_ASSUMPTION,
     TELEOPERATION,
     UNITS,
+    assumptions_about,
     effects_of,
     simulated_effects,
 )
@@ -129,7 +129,7 @@ class Calibration(Result):
 
     @property
     def assumptions(self) -> dict[str, float]:
-        """Medians of the posterior, for `simulated_effects`."""
+        """Medians of the posterior, for `simulated_effects`; of `extrapolated` no estimates."""
         return self.posterior.median().to_dict()
 
     @property
@@ -139,11 +139,13 @@ class Calibration(Result):
 
     @property
     def message(self) -> str:
-        """What this is, in a line."""
+        """What this is, in a line, and of which assumptions medians are no estimate."""
+        extrapolated = ", ".join(self.extrapolated)
+        doubt = f"; printed effects lie beyond all, and medians are no estimate of {extrapolated}"
         measures = ", ".join(UNITS.get(name, name) for name in self.measures)
         return (
             f"{self.settings['simulations']} simulated studies of {self.settings['n']} simulated "
-            f"operators, given {measures}"
+            f"operators, given {measures}{doubt if extrapolated else ''}"
         )
 
     def table(self) -> pd.DataFrame:
@@ -269,7 +271,7 @@ class Calibration(Result):
         studies = whole_number("studies", studies, most=len(people))
         drawn = people.sample(studies, random_state=seed).to_dict("records")
         for each in drawn:
-            checked_assumptions(each, EVERY_ASSUMPTION)
+            checked_assumptions(each, assumptions_about([self.study]))
         runs = [{"study": self.study, "n": self.settings["n"]} | row for row in drawn]
         done = run_campaign(simulated_study, runs, seed=seed, progress=False, n_jobs=n_jobs)
         effects = self.observed.set_index("id")
@@ -351,7 +353,7 @@ def calibrate(
     """
     effects = observed_effects(study)
     usual = TELEOPERATOR_PRIORS if study in TELEOPERATION else PRIORS
-    ranges = checked_priors(usual if priors is None else priors)
+    ranges = checked_priors(usual if priors is None else priors, study)
     simulations = whole_number("simulations", simulations)
     seed = whole_number("seed", seed, least=0)
     _check_enough(simulations, len(effects))
@@ -425,8 +427,10 @@ def read_calibration(study: str, folder: str | os.PathLike) -> Calibration:
     return Calibration(study, priors, pd.read_csv(table), facts["settings"])
 
 
-def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Return ranges of priors, each with mass and within what an operator allows."""
+def checked_priors(
+    priors: Mapping[str, tuple[float, float]], study: str
+) -> dict[str, tuple[float, float]]:
+    """Return ranges of priors, each with mass and within what an operator of a study allows."""
     if not isinstance(priors, Mapping) or not priors:
         raise ValueError(
             f"priors must map at least one assumption to (low, high), got {shown(priors)}"
@@ -437,7 +441,7 @@ def checked_priors(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple
             raise ValueError(f"the prior of {name} must be two numbers, got {shown(pair)}")
         ranges[name] = in_order(f"the low end of {name}", pair[0], "its high end", pair[1])
         for end in ranges[name]:
-            checked_assumptions({name: end}, EVERY_ASSUMPTION)
+            checked_assumptions({name: end}, assumptions_about([study]))
     return ranges
 
 

@@ -66,7 +66,8 @@ def compare(
     Raises
     ------
     ValueError
-        If the quantities differ, or a printed value is not text or not a number.
+        If the quantities differ, a printed value is not text or not a number, or a standard error
+        is negative or of none of the quantities.
 
     Examples
     --------
@@ -86,6 +87,9 @@ def compare(
             "both sides must have the same quantities; only on one side: "
             f"{', '.join(map(str, only))}"
         )
+    for name, error in (stderr or {}).items():
+        if name not in values or error < 0.0:
+            raise ValueError(f"stderr: {name!r} is no quantity, or its {error} is negative")
     rows = []
     for name, value in values.items():
         target = printed_decimal(printed[name])

@@ -5,7 +5,7 @@ predict, and in simulated people under named assumptions about them.
 
 import math
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache, partial
 from typing import Any
 
@@ -16,7 +16,7 @@ from scipy import special
 from trustlab.allocation.rules import PerformanceRule
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import one_of, whole_number
+from trustlab.models.checks import of_class, one_of, whole_number
 from trustlab.operators.answers import simulated_answers
 from trustlab.operators.ground_robot import ASSUMPTIONS, checked_assumptions
 from trustlab.operators.teleoperator import TELEOPERATOR_ASSUMPTIONS
@@ -160,7 +160,6 @@ def model_means(condition: str) -> pd.DataFrame:
     return pd.DataFrame(rows).T
 
 
-EVERY_ASSUMPTION = {**ASSUMPTIONS, **TELEOPERATOR_ASSUMPTIONS}
 # Testbeds of the studies under C1–C5.
 ALLOCATION = {
     "table_2.4": "ground_robot",
@@ -242,12 +241,14 @@ def simulated_effects(
         the mean difference; se, its standard error over operators; operators, how many have the
         measure in both conditions; p_simulated, of the paired t-test, not adjusted for the number
         of pairs; agrees, whether simulated ± 2 se meets what is printed, from low to high (missing
-        where nothing is simulated); reason, why not. `attrs["origin"]` says that it is simulated.
+        where nothing is simulated); reason, why not. `attrs["origin"]` says that it is simulated,
+        `attrs["n"]` how many operators were, by study.
 
     Raises
     ------
     ValueError
-        If an assumption is unknown or out of range, or n is below 3.
+        If an assumption is unknown or out of range, n is below 3, or no chosen study depends on an
+        assumption or on a model of trust.
 
     Examples
     --------
@@ -257,18 +258,33 @@ def simulated_effects(
     >>> effects["id"].tolist()
     ['table_2.6/followed_percent/C2-C4']
     """
-    assumed = checked_assumptions(assumptions, EVERY_ASSUMPTION)
     n, seed = whole_number("n", n, least=3), whole_number("seed", seed, least=0)
     chosen = effects_of(only)
+    places = chosen["place"].unique()
+    assumed = checked_assumptions(assumptions, assumptions_about(places))
+    if trust is not None:
+        of_class("trust", TrustInLoop.of(trust), TrustInLoop, "see trust.MODELS")
+        if not {*places} & {*TELEOPERATION}:
+            raise ValueError(f"trust has no effect on {only}, a study under C1–C5; leave it out")
+    squares = len(CONDITIONS) * math.ceil(n / len(CONDITIONS))
+    people = {place: n if place in TELEOPERATION else squares for place in places}
     measured = {
-        place: _measured(place, assumed, n, seed, trust, n_jobs)
-        for place in chosen["place"].unique()
+        place: _measured(place, assumed, people[place], seed, trust, n_jobs) for place in places
     }
     rows = [_compared(effect, measured[effect.place]) for effect in chosen.itertuples()]
     frame = chosen[COLUMNS].reset_index(drop=True).join(pd.DataFrame(rows, columns=SIMULATED))
     frame["agrees"] = frame["agrees"].astype("boolean")
-    frame.attrs = {"origin": "simulated operators", "assumptions": assumed, "n": n, "seed": seed}
+    frame.attrs = {"origin": "simulated operators", "assumptions": assumed}
+    frame.attrs |= {"n": people, "seed": seed}
     return frame
+
+
+def assumptions_about(studies: Iterable[str]) -> dict[str, tuple]:
+    """Return the ranges of all assumptions that have an effect on some of these studies."""
+    ranges: dict[str, tuple] = {}
+    for study in studies:
+        ranges |= TELEOPERATOR_ASSUMPTIONS if study in TELEOPERATION else ASSUMPTIONS
+    return ranges
 
 
 def effects_of(study: str | None, name: str = "only") -> pd.DataFrame:
@@ -284,7 +300,7 @@ def _measured(
     place: str, assumed: dict[str, float], n: int, seed: int, trust: Any, n_jobs: int
 ) -> pd.DataFrame:
     """Return a study's measures, a row per operator; columns are measure and condition."""
-    names = TELEOPERATOR_ASSUMPTIONS if place in TELEOPERATION else ASSUMPTIONS
+    names = assumptions_about([place])
     assumptions = {name: value for name, value in assumed.items() if name in names}
     if place in TELEOPERATION:
         people = TeleoperatorPopulation(TELEOPERATION[place][0]).draw(n, seed, assumptions)
@@ -294,7 +310,6 @@ def _measured(
         )
         flown = done[~done["failed"].to_numpy(bool)].filter(like="/")
         return flown.set_axis(flown.columns.str.split("/", expand=True), axis=1)
-    n = len(CONDITIONS) * math.ceil(n / len(CONDITIONS))
     with warnings.catch_warnings():
         # Carry-over, which half squares leave unbalanced, is not estimated.
         warnings.filterwarnings("ignore", f"{n} participants fill half")

@@ -162,7 +162,7 @@ def fit_trust(
     Raises
     ------
     ValueError
-        If the model is unknown, or the panel has no rating after an event.
+        If the model is unknown or predicts no number, or the panel has no rating after an event.
 
     Notes
     -----
@@ -200,6 +200,8 @@ def fitted(
     found = next(each for each in optima if each.fun <= best + ALIKE)
     values = values_at(chosen, found.x).tolist()
     model = chosen(**dict(zip(chosen.parameters(), values, strict=True)))
+    if np.isnan(predict(model, panel, free).mean).all():
+        raise ValueError(f"{model.name} predicts NaN, not a rating, after every event of the panel")
     return TrustFit(
         model=model,
         panel=panel,

@@ -236,7 +236,7 @@ class TrustDynamics:
         rating : array_like, shape (N,)
             Ratings, 0 to 1.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"{self.name} has no method start")
 
     def step(self, belief: Any, event: Event) -> Any:
         """
@@ -249,7 +249,7 @@ class TrustDynamics:
         event : Event
             What happened.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"{self.name} has no method step")
 
     def learn(self, belief: Any, rating) -> Any:
         """
@@ -262,7 +262,7 @@ class TrustDynamics:
         rating : array_like, shape (N,)
             Ratings, 0 to 1.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"{self.name} has no method learn")
 
     def rating(self, belief: Any) -> Any:
         """
@@ -273,7 +273,7 @@ class TrustDynamics:
         belief : Any
             The belief now.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"{self.name} has no method rating")
 
     def preference(self, belief: Any) -> np.ndarray:
         """

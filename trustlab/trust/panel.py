@@ -7,13 +7,15 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import array_between, one_of, positive
+from trustlab.models.checks import flag, one_of, positive, shown
 from trustlab.trust.interface import Event
 
 # Columns of a panel in a table, beside person and trial.
 SIGNALS = Event._fields
 NEEDED = "person", "trial", "rating", "p_r"
 KNOWN = *NEEDED[:3], *SIGNALS
+# Least and greatest value of signals that do not end at 1.
+ENDS = {"dt": (0.0, np.inf, ""), "fault": (0.0, np.inf, "")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,25 +117,41 @@ def panel_of(
             raise ValueError(f"the table has no column {column!r} (there are {', '.join(table)})")
     table = pd.DataFrame({signal: table[column] for signal, column in wanted.items()})
     span, (worst, best) = positive("high - low", high - low), performance
+    positive("what lies between the two ends of performance", abs(best - worst))
+    table = table.assign(trial=pd.to_numeric(table["trial"], errors="coerce"))
+    for row in table.index[table[["person", "trial"]].isna().any(axis=1)]:
+        raise ValueError(f"row {row!r} of the table has no person, or no number of a trial")
+    for row in table.index[table.duplicated(["person", "trial"])]:
+        raise ValueError(
+            f"row {row!r} of the table has a person's trial a second time; there must be one row "
+            "per person and trial"
+        )
     # People stay in the order of the table, their trials are put in order.
-    person, people = pd.factorize(table["person"], use_na_sentinel=False)
+    person, people = pd.factorize(table["person"])
     table = table.assign(person=person).sort_values("trial", kind="stable")
-    number = table.groupby("person").cumcount().rename("number") + (not before)
-    signals = table.reindex(columns=["rating", *SIGNALS]).astype(float)
+    number = table.groupby("person").cumcount().rename("number") + (not flag("before", before))
+    if not number.max() > 0:
+        raise ValueError("no event: a person's first row is the rating before it, or before=False")
+    signals = table.reindex(columns=["rating", *SIGNALS])
+    rated, seen = "; low and high are its ends", "; performance has its ends"
+    ends = ENDS | {"rating": (low, high, rated), "p_r": (min(performance), max(performance), seen)}
+    for name, column in signals.items():
+        signals[name] = values = pd.to_numeric(column, errors="coerce").astype(float)
+        least, most, remedy = ends.get(name, (0.0, 1.0, ""))
+        right = values.between(least, most) | (column.isna() if name != "p_r" else False)
+        # Before the first event there is nothing but a rating.
+        for row, value in column[~right & ((number > 0) | (name == "rating"))].items():
+            raise ValueError(
+                f"row {row!r} of the table has {name} {shown(value)}, outside the scale from "
+                f"{least:g} to {most:g}{remedy}"
+            )
     signals["p_r"] = (signals["p_r"] - worst) / (best - worst)
-    array_between("p_r", signals["p_r"].to_numpy()[number > 0], 0.0, 1.0, "performance")
     # A signal that is not in the table, or missing there, has its usual value.
     signals = signals.fillna(Event()._asdict())
     # Rows of people; NaN where a person has no such trial.
     wide = signals.set_index([table["person"], number]).unstack()  # noqa: PD010 (no repeats)
     wide = wide.reindex(columns=pd.MultiIndex.from_product([signals, range(number.max() + 1)]))
     ratings = (wide["rating"].to_numpy() - low) / span
-    outside = (ratings < 0.0) | (ratings > 1.0)
-    if outside.any():
-        raise ValueError(
-            f"{outside.sum()} ratings are outside the scale from {low:g} to {high:g}; low and high "
-            "are its ends"
-        )
     if resolution is None:
         levels = np.unique(np.round(ratings[np.isfinite(ratings)], 9))
         resolution = float(np.diff(levels).min()) if levels.size > 1 else 0.01

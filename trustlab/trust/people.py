@@ -38,10 +38,10 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
         `tl.read_live_study(folder)`.
     recipe : mapping or path, optional
         Of a file, table or study, or a TOML file that holds it: `columns`, which maps person,
-        trial, rating, p_r and further signals of `Event` to the table's names; `low` and `high`,
-        the ends of the scale; `performance`, the values of p_r that are worst and best, 0 and 1
-        when not given; `before`, whether the first row of a person is the rating before the first
-        event; `resolution`; `source`; `cautions`.
+        trial (a number), rating, p_r and further signals of `Event` to the table's names; `low` and
+        `high`, the ends of the scale; `performance`, the values of p_r that are worst and best, 0
+        and 1 when not given; `before`, whether the first row of a person is the rating before the
+        first event; `resolution`; `source`; `cautions`.
 
     Returns
     -------
@@ -51,7 +51,8 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
     Raises
     ------
     ValueError
-        If there is no such set or file, or a column is missing.
+        If there is no such set or file, a column is missing, or a row is no trial of a person with
+        numbers on their scales; also for a recipe beside a public set.
 
     Notes
     -----
@@ -68,6 +69,8 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
     (100, 10)
     """
     if isinstance(name, str) and name in SETS:
+        if recipe is not None:
+            raise ValueError(f"recipe: {name!r} has a recipe of its own; leave this one out")
         file, read = SETS[name]
         return read(data_folder("people") / file)
     if isinstance(recipe, str | os.PathLike):

@@ -339,3 +339,18 @@ def test_a_person_better_than_the_stand_in_at_the_best_has_a_model_too():
     found = identified(content, session)
     assert found["source"] == FROM_PART
     assert "human_p_max" in found["why"]
+
+
+def test_an_analysis_names_everybody_who_is_left_out(make_team_plan, monkeypatch):
+    """It left them out and said nothing, or asked for an argument that it does not take."""
+    plan = make_team_plan(6)
+    plan.rehearse(0)
+    next((plan.folder / "P04").glob("*-drive.jsonl")).unlink()
+    study = tl.read_live_study(plan.folder)
+    measures = study.measures
+    unanswered = measures.assign(force=measures["force"].mask(measures["participant"] == "P02"))
+    monkeypatch.setattr(type(study), "measures", unanswered)
+    result = study.analysis("force")
+    assert (result.n, result.excluded) == (4, ("P02", "P04"))
+    assert "2 participants (P02, P04)" in result.apa()
+    assert result.origin == study.origin

@@ -397,6 +397,21 @@ def test_a_rounded_epsilon_is_recognised():
     assert not answer_of(third).feasible
 
 
+def test_the_message_names_the_reading_that_an_answer_needs():
+    """Without a printed p it kept the rounded ε to itself, under which alone these can hold."""
+    anova = {"F": "20.10", "df1": "1.60", "df2": "30.40"}
+    answer = answer_of({**THREE, "anova": anova, "epsilon": "0.75"})
+    assert "corrected by ε rounded to 0.8" in answer.message
+
+
+def test_f_of_two_conditions_is_the_square_of_t():
+    """9.25 beside a t of 2.5, whose square is 6.25, was no contradiction."""
+    cells = {"mean": {"A": "1.00", "B": "2.00"}, "sd": {"A": "1.00", "B": "1.00"}}
+    for f, conflicts in {"9.25": ["t_test.t"], "6.25": []}.items():
+        tests = {"anova": {"F": f}, "t_test": {"t": "-2.50", "df": "9"}}
+        assert list(contradictions(tl.PublishedStudy("two", n=10, **cells, **tests))) == conflicts
+
+
 def test_a_contradiction_is_never_consistent():
     """F(3, 57) with n = 18: degrees of freedom of 20 people."""
     fields = {**FOUR, "anova": {"F": "4.10", "df1": "3", "df2": "57", "p": ".03"}}

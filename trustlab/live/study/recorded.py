@@ -396,8 +396,8 @@ class RecordedStudy:
 
     def analysis(self, dv: str) -> RepeatedMeasures:
         """
-        Return the repeated-measures analysis of one measure over the conditions, of complete
-        participants.
+        Return the repeated-measures analysis of one measure over the conditions, of the complete
+        participants who have it; all others who have begun are in `.excluded`.
 
         Parameters
         ----------
@@ -407,13 +407,19 @@ class RecordedStudy:
         Raises
         ------
         ValueError
-            If there are too few complete participants, or the measure has missing values or no
-            variance.
+            If there are too few such participants, or the measure has no variance.
         """
-        between = "group" if self.plan.groups else None
-        order = self.plan.content["conditions"]
+        between, order = "group" if self.plan.groups else None, self.plan.content["conditions"]
+        rows = [
+            (code, condition)
+            for code, record in self.records.items()
+            if record.progress.done or record.fault
+            for condition in self.plan.orders[code]
+        ]
+        begun = self._labelled(pd.DataFrame(rows, columns=["participant", "condition"]))
+        frame = begun.merge(self._for_analysis(), how="left")
         return repeated_measures(
-            self._for_analysis(), dv, "condition", "participant", between=between, order=order
+            frame, dv, "condition", "participant", between=between, order=order, missing="listwise"
         )
 
     def order_effects(self, dv: str) -> OrderEffects:

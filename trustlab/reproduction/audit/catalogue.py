@@ -8,7 +8,7 @@ from functools import cache
 
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, shown
+from trustlab.models.checks import did_you_mean, shown, whole_number
 from trustlab.models.published import printed_pilot, published_folder
 from trustlab.reproduction.printed import half_unit, printed_interval
 from trustlab.reproduction.published import published_facts, published_table
@@ -69,6 +69,11 @@ class PrintedNumber:
         return half_unit(self.printed.lstrip("<>"))
 
     @property
+    def shown(self) -> str:
+        """The printed text, of a word with the number that it stands for."""
+        return f"“{self.printed}”, that is {self.value:g}" if self.is_word else self.printed
+
+    @property
     def decimals(self) -> int:
         """Decimals as printed, of the mantissa where there is an exponent."""
         return len(self.printed.lower().split("e")[0].partition(".")[2])
@@ -102,7 +107,9 @@ def _pilot() -> Iterator[PrintedNumber]:
 def _studies() -> Iterator[PrintedNumber]:
     for name, study in published_studies().items():
         where, title = study.where.split(" (")[0], study.title
-        yield PrintedNumber(f"{name}/n", where, "n", str(study.n), exact=True)
+        # Of the UAV study no n is printed, but the degrees of freedom.
+        n = "df 140" if name.startswith("uav.") else str(study.n)
+        yield PrintedNumber(f"{name}/n", where, "n", n, exact=True)
         for statistic, text in study.table()["printed"].items():
             quantity = f"{title}: {statistic.replace('.', ' ')}"
             degrees = statistic.startswith(("mauchly.", "anova.")) and text.isdecimal()
@@ -170,4 +177,6 @@ def _changed(numbers: Mapping[str, PrintedNumber], id: str, text: str) -> Printe
             f"the change of {id!r} must be a number as printed, in quotes, for example '0.390', "
             f"got {shown(text)}"
         )
+    if id.endswith("/n"):
+        whole_number(f"n of {id[:-2]!r}", changed.value, least=3)
     return changed

@@ -66,7 +66,7 @@ def row_about(
 
 def listing(inputs: Mapping[str, str], numbers: Numbers) -> str:
     """Return inputs as "symbol = printed (id)"."""
-    return "; ".join(f"{symbol} = {numbers[id].printed} ({id})" for symbol, id in inputs.items())
+    return "; ".join(f"{symbol} = {numbers[id].shown} ({id})" for symbol, id in inputs.items())
 
 
 class NotPrintedError(AttributeError):
@@ -185,11 +185,14 @@ class Formula:
 
 
 def show(value: float, like: PrintedNumber | None = None, more: int = 0) -> str:
-    """Return a number with the decimals of a printed one, and `more`; or 4 significant digits."""
+    """
+    Return a number with the decimals of a printed one, and `more`; or 4 significant digits, and
+    `more`.
+    """
     if not np.isfinite(value):
         return str(value)
     if like is None or np.isnan(like.half) or like.half == 0.0:
-        return f"{value:.4g}"
+        return f"{value:.{4 + more}g}"
     if "e" in like.printed.lower() or abs(value) < 0.5 * 10.0 ** -(like.decimals + more):
         return f"{value:.{2 + more}e}"
     return f"{value:.{like.decimals + more}f}"
@@ -287,8 +290,7 @@ class Follows(Formula, Relation):
         for way, (value, low, high) in ways:
             span = f", from {show(low, number, 2)} to {show(high, number, 2)} within rounding"
             tried.append(f"{way.result(value, number)}{span if high > low else ''}")
-        word = f"“{number.printed}”, that is {number.value:g}" if number.is_word else number.printed
-        reason = f"{'; '.join(tried)}. Printed is {word}."
+        reason = f"{'; '.join(tried)}. Printed is {number.shown}."
         if self.binding:
             return f"Suspicious: {reason} But {self.binding}"
         if self.target is not None:

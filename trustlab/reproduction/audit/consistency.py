@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from decimal import ROUND_HALF_UP, Decimal
+from decimal import Decimal
 from fractions import Fraction
 from functools import cache
 from itertools import combinations
@@ -19,7 +19,7 @@ from scipy import stats
 
 from trustlab.reproduction.audit.catalogue import PrintedNumber
 from trustlab.reproduction.audit.check import Numbers, Row, listing, row_about
-from trustlab.reproduction.printed import ROUNDINGS
+from trustlab.reproduction.printed import ROUNDINGS, printed_interval
 from trustlab.reproduction.published import published_facts
 from trustlab.reproduction.published_study import PRINTED, published_studies
 from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS
@@ -113,7 +113,7 @@ def _ratings(
     rows = []
     for condition, id in ids.items():
         if kind == "tlx" and not any(fits(condition, rule) for rule in rules):
-            remark = f"Suspicious: for n = {respondents.printed} no whole points give it, raw or "
+            remark = f"Suspicious: for n = {respondents.value:g} no whole points give it, raw or "
             rows.append(row_about(numbers[id], f"{remark}weighted (GRIM)."))
         elif expected and not fits(condition, expected):
             rows.append(row_about(numbers[id], f"With {expected} no whole points round to it."))
@@ -172,22 +172,28 @@ PRINTED_TWICE = (
 
 def restated_rows(numbers: Numbers) -> Iterator[Row]:
     """
-    Return whether numbers printed in a second place are those of the first, or these rounded.
+    Return whether numbers printed in a second place are those of the first, or these rounded; or
+    both rounded from one number.
     """
     for second, first, where in PRINTED_TWICE:
         for id in (id for id in numbers if id.startswith(f"{second}/")):
             number, source = numbers[id], numbers[id.replace(second, first, 1)]
             here, there = Decimal(number.printed), Decimal(source.printed)
-            same = here in (there.quantize(here, rule) for rule in ROUNDINGS)
-            reason = f"{where} has {source.printed}."
-            if not same:
-                rounded = there.quantize(here, ROUND_HALF_UP)
-                reason += f" Here it would be {rounded}: one of the two is wrong."
+            (least, most), span = map(printed_interval, (number.printed, source.printed))
+            low, high = max(least, span[0]), min(most, span[1])
+            verdict, reason = "reproduced", f"{where} has {source.printed}."
+            if here not in (there.quantize(here, rule) for rule in ROUNDINGS):
+                verdict = "within rounding" if low < high else "differs"
+                both = f"Numbers from {low:g} to {high:g} round to both."
+                if low >= high:
+                    up = f", as {low:g} is rounded up" if low == high else ""
+                    both = f"No number rounds to both{up}: one of the two is wrong."
+                reason += f" {both}"
             yield row_about(
                 number,
                 reason,
-                "reproduced" if same else "differs",
-                (float(there),) * 3,
+                verdict,
+                (float(there), *span),
                 formula="the same number in two places",
                 inputs=f"{source.printed} ({source.id})",
             )

@@ -34,8 +34,9 @@ def contradictions(study: PublishedStudy, p_adjust: str = "bonferroni") -> dict[
     Return the printed numbers that contradict others, by name with the reason.
 
     Numbers that cannot be (p above 1, a mean outside the scale), partial eta² against F, degrees of
-    freedom against ε and n, p against F and its degrees of freedom, Mauchly's p against its
-    chi-square, and F, t and p against what the means and standard deviations allow.
+    freedom against ε and n, t of two conditions against F, p against F and its degrees of freedom,
+    Mauchly's p against its chi-square, and F, t and p against what the means and standard
+    deviations allow.
     """
     wrong = _under(study, reading_of(study))
     return wrong | _beside_the_cells(study, p_adjust, wrong)
@@ -64,6 +65,8 @@ def _under(study: PublishedStudy, reading: Reading) -> dict[str, str]:
     if {"t_test.t", "t_test.p"} <= known.keys():
         p = 2.0 * special.stdtr(n - 1, -known["t_test.t"])
         wrong |= _contradicted(printed["t_test.p"], p, "t gives")
+    if k == 2 and "t_test.t" in known:  # |t| is the root of F
+        wrong |= _contradicted(printed["t_test.t"], np.sqrt(f_ratio), "F gives")
     if "anova.p" in known and {"anova.F", "anova.eta2"} & known.keys():
         factor = np.array([reading.rounded or 1.0])
         if reading.p and not reading.rounded:

@@ -11,7 +11,7 @@ import pandas as pd
 from trustlab.models.checks import of_class, one_of, whole_number
 from trustlab.models.display import Result
 from trustlab.reproduction.published_study import PublishedStudy
-from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, constraints
+from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, constraints, readings
 from trustlab.reproduction.reconstruction.contradictions import contradictions, reading_of
 from trustlab.reproduction.reconstruction.search import STARTS, Found, Search
 
@@ -74,7 +74,8 @@ class Feasibility(Result):
                 f"No data with {subject} were found from {STARTS} starts; the closest "
                 f"miss {', '.join(self.conflict)}."
             )
-        if {"F", "p"} <= self.study.anova.keys() and self.study.k > 2:
+        usual, both = next(readings(self.study)), {"F", "p"} <= self.study.anova.keys()
+        if self.reading != usual.words or (both and self.study.k > 2):
             parts.append(f"Read as {self.reading}.")
         return " ".join(parts)
 

@@ -52,7 +52,7 @@ class LinearTrust(TrustDynamics):
         event : Event
             What happened.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"{self.name} has no method transition")
 
     def start(self, rating) -> Gaussian:
         """
