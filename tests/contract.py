@@ -263,7 +263,8 @@ def values(call, argument):
             tried += [good.drop(columns=name), good.assign(**{str(name): math.nan})]
             tried += [good.assign(**{str(name): WORD})]
     elif isinstance(good, tl.Session):
-        tried += [good.data, [good, good], good.between(0.0, 2.0 * good.sample_time)]
+        tried += [good.data, [good, good.between(0.0, 0.5 * good.duration)]]
+        tried.append(good.between(0.0, 2.0 * good.sample_time))
         for name in good.columns[:-1]:
             tried.append(tl.Session(good.data.drop(columns=name), good.metadata))
     elif isinstance(good, Mapping) and good:

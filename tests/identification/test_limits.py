@@ -106,6 +106,7 @@ def test_ranges_that_give_no_weights_are_refused_where_these_are_returned():
     [
         (tl.fit_robot, {"p_h_max": 0.4}, r"^p_h_max, .*is 0\.4, but the measured p_h is .*median"),
         (tl.fit_robot, {"p_h_max": 1000.0}, "give it in this unit"),
+        (tl.fit_robot, {"p_h_max": 0.46, "fixed": {"p_h_max": 0.6}}, "p_h_max is given twice"),
         (
             tl.fit_robot,
             {"fixed": {"b": 0.1}},
@@ -146,6 +147,20 @@ def test_sessions_that_do_not_fit_together():
     ):
         with pytest.raises(error, match=says):
             tl.fit_robot(sessions)
+
+
+def test_the_same_samples_do_not_count_twice():
+    """Standard errors were 1/√2 of what they are, and one person was a population of two."""
+    one, other = session(), session(seed=1)
+    again = tl.Session(one.data, one.metadata)
+    for call in (
+        lambda: tl.fit_tsc([one, other, again]),
+        lambda: tl.sample_posterior([one, again]),
+        lambda: tl.fit_population({"a": [other, one], "b": again}),
+    ):
+        with pytest.raises(IdentificationError, match="operator 1, synthetic occurs twice"):
+            call()
+    assert len(tl.fit_tsc([one, other]).runs) == 2
 
 
 def test_an_initial_state_at_its_bound_widens_the_intervals():

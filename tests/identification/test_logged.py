@@ -111,9 +111,11 @@ def test_how_noise_is_seen_depends_on_no_other_search():
 
 
 def test_a_log_of_a_lab_that_says_nothing_of_its_window_is_warned_of_once():
-    short = session(SWITCHING[:6000]).with_metadata(synthetic=False)
+    short, other = (
+        session(SWITCHING[:6000], seed=seed).with_metadata(synthetic=False) for seed in (0, 1)
+    )
     with pytest.warns(UserWarning, match=r"state window=… \[s\], or window=0") as caught:
-        tl.fit_human([short, short])
+        tl.fit_human([short, other])
     assert len(caught) == 1
     assert tl.fit_human(short, window=0.0).success
 
@@ -144,6 +146,47 @@ def test_a_model_of_ones_own_has_a_window_for_free():
     assert abs(fit.model["rate"] - 0.02) < 3.0 * fit.parameters.loc["rate", "stderr"] < 0.002
     wrong = tl.fit(model, averaged, window=0.0, noise="white")
     assert abs(wrong.model["start"] - 0.1) > 5.0 * wrong.parameters.loc["start", "stderr"]
+
+
+def test_only_performance_is_a_mean_over_the_window_of_performance():
+    """Every output was, so that a model of path_error changed with the columns beside it."""
+    rng, mode = np.random.default_rng(0), np.repeat([0.0, 1.0] * 5, 600)
+
+    def simulate(run, rate, manual, auto, e0):
+        e = np.full(run.size, e0)
+        for k, m in enumerate(run["mode"][:-1]):
+            e[k + 1] = e[k] + rate * ((manual if m else auto) - e[k])
+        return e
+
+    def both(run, **values):
+        e = simulate(run, **values)
+        return e, 1.0 - e
+
+    names, low, high = ["rate", "manual", "auto"], [0.001, 0, 0, 0], [0.5, 1, 1, 1]
+    true = {"rate": 0.02, "manual": 0.5, "auto": 0.2}
+    bare = log(mode=mode, path_error=np.zeros(mode.size))
+    e = simulate(read_runs(bare, "mode")[0], **true, e0=0.3)
+    noise = 0.004 * rng.normal(size=(2, e.size))
+    p_r = window_mean(1.0 - e + noise[1], 0.1, 20.0)
+    plain = log(mode=mode, path_error=e + noise[0])
+    beside = plain.with_columns(p_r=p_r).with_metadata(performance_window=20.0)
+    model = tl.Model(names, ["e0"], "path_error", low, high, simulate=simulate)
+    fits = [
+        tl.fit(model, each) for each in (plain, beside, beside.with_metadata(performance_cut=1))
+    ]
+    assert fits[0].model == fits[1].model == fits[2].model
+    assert fits[0].message == fits[1].message
+    joint = tl.fit(tl.Model(names, ["e0"], ("path_error", "p_r"), low, high, simulate=both), beside)
+    assert "takes p_r as means over a moving window of 20 s" in joint.message
+    np.testing.assert_allclose([*joint.model.values()], [*true.values()], rtol=0.01)
+    with pytest.raises(ValueError, match="window is that of p_r and p_h, which this model"):
+        tl.fit(model, plain, window=20.0)
+
+
+def test_a_window_shorter_than_a_sample_is_refused():
+    """It was none, and so was one in minutes."""
+    with pytest.raises(ValueError, match=r"window = 0\.4 s is shorter than one sample .*1 s"):
+        tl.fit_tsc(session(step=1.0), window=0.4)
 
 
 # --- noise ----------------------------------------------------------------------------------------

@@ -237,6 +237,18 @@ def test_models_that_cannot_be_made_or_fitted_are_refused():
             tl.fit(replace(MINE, **fields), session_of())
 
 
+def test_a_simulation_cannot_write_into_what_it_is_compared_with():
+    """The log was changed for all later evaluations, and the error blamed the data."""
+
+    def simulate(run, rise, decay, p_r0):
+        p_r = run["p_r"]
+        p_r[:] = two_rates(run, rise, decay, p_r0)
+        return p_r
+
+    with pytest.raises(ValueError, match="read-only"):
+        tl.fit(replace(MINE, simulate=simulate), session_of())
+
+
 def test_an_unknown_without_effect_is_named():
     def simulate(run, idle, **at):
         return two_rates(run, **at)

@@ -5,6 +5,8 @@ Oracles: statsmodels OLS and its covariance; normal equations in exact fractions
 the responses written out.
 """
 
+import re
+
 import control
 import numpy as np
 import pytest
@@ -199,6 +201,20 @@ def test_first_order_does_not_fit_a_second_order_axis():
 def test_logs_that_say_too_little_are_refused(size, command, words):
     with pytest.raises(IdentificationError, match=words):
         fit_transfer_function(command, flight("x", 0)[1][:size], T)
+
+
+def test_remedies_for_a_transfer_function_are_arguments_that_it_has():
+    """Values to hold and robust= were advised, which the function does not take."""
+    u = np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], 40), 50)
+    with pytest.raises(IdentificationError, match=r"that move the model more$"):
+        fit_transfer_function(u, 0.5 * u, 0.02, order=1)
+    v = np.convolve(u, 0.02 * np.exp(-0.02 * np.arange(500)))[: u.size]
+    v += 0.01 * np.random.default_rng(1).normal(size=u.size)
+    v[::97] = 5.0
+    for velocity, words in ((v, "they are left out."), (0.1 * v[::-1], "weakly determined")):
+        message = fit_transfer_function(u, velocity, 0.02, order=1).message
+        assert words in message
+        assert not re.search(r"robust|fix", message)
 
 
 def test_a_velocity_that_does_not_follow_the_command_is_no_success():

@@ -104,6 +104,8 @@ def test_the_class_and_a_remedy_are_named():
     session = tl.Session(pd.DataFrame({"mode": [1.0, 0.0]}, index=[0.0, 0.1]))
     with pytest.raises(ValueError, match=r"got SimpleNamespace; pass its \.session$"):
         of_class("session", SimpleNamespace(session=session), tl.Session, "read one")
+    with pytest.raises(ValueError, match=r"got SimpleNamespace; pass its \.model$"):
+        of_class("tsc", SimpleNamespace(model=model), tl.TscModel)
 
 
 @pytest.mark.parametrize("seed", [7, np.random.SeedSequence(7, spawn_key=(2, 3))])

@@ -238,6 +238,29 @@ def test_who_drives_is_guessed_from_two_words_in_any_encoding(drafted):
     np.testing.assert_allclose(sessions[1].t, [0.0, 0.1, 0.2], atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("name", "on", "off", "manual"),
+    [
+        ("auto", "on", "off", "off"),
+        ("autonomous", 1, 0, 0),
+        ("autopilot", "yes", "no", "no"),
+        ("manual", "on", "off", "on"),
+        ("manual", 1, 0, 1),
+    ],
+)
+def test_on_and_off_mean_what_their_column_is_called(drafted, name, on, off, manual):
+    """ "on" was manual in a column called auto, so that each drove where the other did."""
+    rows = "".join(f"{k / 10},{word},0.1\n" for k, word in enumerate([off, off, on, on]))
+    _, session = drafted(f"t,{name},cte_m\n{rows}")
+    assert session["mode"].tolist() == [float(word == manual) for word in (off, off, on, on)]
+
+
+def test_on_and_off_of_a_column_that_names_no_driver_are_asked_for(tmp_path):
+    (tmp_path / "run.csv").write_text("t,mode\n0,on\n0.1,off\n")
+    draft = tl.draft_recipe(tmp_path / "run.csv", tmp_path / "lab.toml").read_text()
+    assert '"on" = "?", "off" = "?"' in draft
+
+
 def test_what_a_draft_leaves_out_reading_asks_for(drafted, tmp_path):
     """Blank cells, signs and stamps that jitter, one after the other."""
     text = "stamp_ms,mode,cte_m\n0,1,.30\n103,1,-.31\n199,0,\n300,0,.33\n"

@@ -213,3 +213,24 @@ def test_what_a_frame_lacks():
         with pytest.raises(SessionError) as caught:
             call()
         assert words in str(caught.value)
+
+
+def test_times_that_a_frame_has_twice_or_in_another_type():
+    """pandas' own error, and a remedy that did not work."""
+    frame = pd.DataFrame({"t": [0.0, 0.1, 0.2], "mode": [1, 1, 0]})
+    with pytest.raises(SessionError, match=r"'t' is both .* frame\.reset_index\(drop=True\)"):
+        read_frame(frame.set_index("t", drop=False))
+    spans = frame.assign(t=pd.to_timedelta(frame["t"], unit="s"))
+    with pytest.raises(SessionError, match=r"\.dt\.total_seconds\(\)"):
+        read_frame(spans)
+    assert read_frame(spans.assign(t=spans["t"].dt.total_seconds())) == read_frame(frame)
+
+
+def test_times_of_too_few_digits_are_not_to_be_merged():
+    """The remedy for equal times would have made six samples of ten minutes."""
+    t = 1.7e9 + np.arange(60_000) * 0.01
+    frame = pd.DataFrame({"t": t, "mode": 1, "p_r": 0.3})
+    assert len(read_frame(frame)) == t.size
+    with pytest.raises(SessionError, match=r"32-bit floats .* to 128: .* 64-bit"):
+        read_frame(frame.astype({"t": "float32"}))
+    assert len(read_frame(frame.assign(t=t - t[0]).astype({"t": "float32"}))) == t.size

@@ -100,6 +100,14 @@ def test_parts_and_added_columns():
     assert session.columns == ["mode"]
 
 
+def test_a_part_holds_the_samples_at_its_ends_however_their_times_are_rounded():
+    """0.30000000000000004 s was cut off by between(0.0, 0.3)."""
+    session = tl.Session(frame().set_axis(np.arange(11) * 0.1))
+    assert len(session.between(0.0, 0.3)) == 4
+    assert len(session.between(0.3, 0.6)) == 4
+    assert len(session.between(0.30001, 0.59999)) == 2
+
+
 def test_units_against_their_definitions():
     expected = {"km": 1e3, "cm": 1e-2, "mm": 1e-3, "min": 60, "h": 3600, "km/h": 1000 / 3600}
     expected |= {"deg": np.pi / 180, "%": 0.01}

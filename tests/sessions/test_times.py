@@ -155,6 +155,30 @@ def test_blanks_at_the_edge_of_a_session_are_cut_and_not_filled_from_the_next(tm
     assert (second.t.tolist(), second["path_error"].tolist()) == ([1, 2], [5, 6])
 
 
+@pytest.mark.parametrize("rule", ["first", "last", "mean"])
+def test_filling_blanks_leaves_what_was_measured(rule):
+    """Where times repeat, the last value replaced the others of its time."""
+    frame = pd.DataFrame({"t": [0, 1, 2, 3, 3, 4], "a": [0, None, 0.2, 0.3, 0.5, 0.6]})
+    columns = '[columns]\np_r = { column = "a", blank = "linear" }'
+    text = f'[time]\nunit = "s"\nrepeated = "{rule}"\n'
+    session = read_frame(frame, table_recipe(text + columns))
+    merged = {"first": 0.3, "last": 0.5, "mean": 0.4}[rule]
+    np.testing.assert_allclose(session["p_r"], [0, 0.1, 0.2, merged, 0.6])
+
+
+@pytest.mark.parametrize("blank", ["hold", "linear"])
+def test_blanks_are_not_filled_across_a_gap_at_which_the_log_is_split(tmp_path, blank):
+    """The first sample after the gap held, or lay on a line to, the last one before it."""
+    (tmp_path / "run.csv").write_text("t,a\n0,1\n1,2\n2,\n9,\n10,5\n11,6\n")
+    recipe = table_recipe(
+        '[files]\npattern = "run.csv"\n[splitting]\ngap = 2\n'
+        f'[columns]\npath_error = {{ column = "a", blank = "{blank}", unit = "m" }}\n'
+    )
+    first, second = read_sessions(tmp_path, recipe)
+    assert first["path_error"].tolist() == ([1, 2, 2] if blank == "hold" else [1, 2])
+    assert (second.t.tolist(), second["path_error"].tolist()) == ([10, 11], [5, 6])
+
+
 # --- resampling ---------------------------------------------------------------------------------
 
 
@@ -232,6 +256,41 @@ def test_a_gap_that_resampling_bridges_is_told(recwarn, gap, warned):
     for each in recwarn:
         start = "data frame: resampling bridges a gap of 1.3 s at t = 0.4 s; "
         assert str(each.message).startswith(start)
+
+
+@pytest.mark.parametrize("method", ["linear", "previous", "nearest"])
+@pytest.mark.parametrize("sample_time", [0.05, 0.1, 0.25, 1.0])
+def test_a_distance_since_the_sample_before_is_that_since_the_new_one(method, sample_time):
+    """Steps were kept as they were, so that speed grew with the ratio of the sample times."""
+    steps = np.random.default_rng(0).random(401) * np.repeat([1, 0, 2, 0], [101, 100, 100, 100])
+    frame = pd.DataFrame({"t": np.arange(401) * 0.1, "step_distance": steps, "p_r": 0.1})
+    session = read_frame(frame, resample=method, sample_time=sample_time)
+    whole = np.arange(len(session))[np.isclose(session.t % 1.0, 0.0)]
+    way = np.cumsum(session["step_distance"])
+    np.testing.assert_allclose(np.diff(way[whole]), steps[1:].reshape(-1, 10).sum(axis=1))
+    assert session["step_distance"][0] == session["step_distance"][1]
+
+
+@pytest.mark.parametrize("rule", ["first", "last", "mean"])
+def test_distances_of_merged_samples_add_up(rule):
+    """All but one of them were lost."""
+    frame = pd.DataFrame({"t": [0, 1, 1, 2], "step_distance": [0.1, 0.2, 0.4, 0.3]})
+    text = f'[time]\nunit = "s"\nrepeated = "{rule}"\n'
+    rules = '[columns]\nstep_distance = { column = "step_distance", unit = "m" }'
+    session = read_frame(frame, table_recipe(text + rules))
+    np.testing.assert_allclose(session["step_distance"], [0.1, 0.6, 0.3])
+
+
+@pytest.mark.parametrize("name", ["leader", "leader_choice", "may_switch", "alpha_choice"])
+def test_no_robot_and_no_choice_lies_between_two_others(name):
+    """Robot 2.5 led, where 1 and then 4 had."""
+    frame = pd.DataFrame({"t": [0.0, 1.0, 1.0, 2.0], name: [1, 0, 1, 1]})
+    merged = table_recipe(
+        f'[time]\nunit = "s"\nrepeated = "mean"\n[columns]\n{name} = {{ column = "{name}" }}'
+    )
+    frame[name] += name == "leader"
+    session = read_frame(frame, merged, resample="linear", sample_time=0.5)
+    assert set(session[name]) <= set(frame[name])
 
 
 # --- what is doubted ----------------------------------------------------------------------------

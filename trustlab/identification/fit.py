@@ -25,6 +25,7 @@ import pandas as pd
 from trustlab.identification.log import (
     LogSettings,
     Run,
+    averaged,
     delayed,
     joined,
     log_settings,
@@ -134,8 +135,7 @@ def fit(
     log = log_settings(log, settings)
     runs = read_runs(sessions, *dict.fromkeys((*model.inputs, *model.outputs)), log=log)
     # The values themselves drive the model, not their means over a window.
-    driving = {"p_h", "p_r"} & set(model.inputs)
-    runs = [run.mapped(driving, undo_window) for run in runs]
+    runs = [run.mapped(averaged(model.inputs), undo_window) for run in runs]
     model = delayed(model) if log.mode_delay else model
     return fit_runs(model, runs, noise, model.limits(fixed, bounds), log.robust)
 
@@ -491,8 +491,9 @@ def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
     for i, (run, of_run) in enumerate(zip(problem.runs, problem.series, strict=True)):
         simulated = problem.simulated(run, i, estimate.optimum.x)
         # Values that the log has as means are shown as it has them.
-        pairs = zip(of_run, simulated, strict=True)
-        shown = [[window_means(y, run.undone) for y in (s.measured, out)] for s, out in pairs]
+        undone = [run.undone if name in averaged(outputs) else 1 for name in outputs]
+        triples = zip(of_run, simulated, undone, strict=True)
+        shown = [[window_means(y, w) for y in (s.measured, out)] for s, out, w in triples]
         measured, fitted = (dict(zip(outputs, y, strict=True)) for y in zip(*shown, strict=True))
         inputs = {name: run[name] for name in model.inputs}
         errors = {name: s.white[:, 0].copy() for name, s in zip(outputs, of_run, strict=True)}
@@ -516,11 +517,12 @@ def remarks(estimate: Estimate) -> Iterator[str]:
             "unless that is meant."
         )
     windows = {run.window * run.undone * run.sample_time for run in problem.runs}
-    if any(run.window * run.undone > 1 for run in problem.runs):
+    means = " and ".join(averaged(problem.model.outputs))
+    if means and any(run.window * run.undone > 1 for run in problem.runs):
         where = "in the values that are averaged" if problem.unwindow else "in the means"
         spans = " and ".join(f"{window:g} s" for window in sorted(windows))
         yield (
-            f"The outputs are fitted as means over a moving window of {spans}, with noise {where}."
+            f"The fit takes {means} as means over a moving window of {spans}, with noise {where}."
         )
     if "mode" in problem.model.inputs and all(np.ptp(run["mode"]) == 0.0 for run in problem.runs):
         yield "Mode never changes within any run."

@@ -38,9 +38,9 @@ class LogSettings(Checked):
     Parameters
     ----------
     window : float, optional
-        Length W [s] of the moving window over which the outputs were averaged, as
+        Length W [s] of the moving window over which p_r and p_h were averaged, as
         `with_performance` does; 0 if they were not averaged. By default each session's metadata
-        decide.
+        decide. Other columns are no means.
     mode_delay : bool
         Whether to estimate the delay between the logged time of a change of mode and its effect
         [s], as a further parameter `mode_delay`.
@@ -89,7 +89,8 @@ class Run:
     """
     One session as arrays: columns of shape (N,) by name, and facts that messages need.
 
-    Outputs are means over `window` samples; where these are undone, they were over `undone`.
+    Outputs that are performance are means over `window` samples; where these are undone, they were
+    over `undone`.
     """
 
     label: str
@@ -103,7 +104,9 @@ class Run:
     buffers: dict[tuple, np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        return self.columns[name]
+        column = self.columns[name].view()
+        column.flags.writeable = False  # no simulation changes what it is compared with
+        return column
 
     @property
     def size(self) -> int:
@@ -141,9 +144,8 @@ def read_runs(
     Where `log` leaves the window or the error of the stamps open, each session's metadata decide.
     """
     log = log or LogSettings()
-    sessions = as_list(sessions)
+    sessions = each_once(as_list(sessions))
     for session in sessions:
-        of_class("sessions", session, Session, HOW_TO_GET)
         session.require(*columns)
         if abs(session.sample_time - sessions[0].sample_time) > 1e-6 * sessions[0].sample_time:
             raise IdentificationError(
@@ -151,8 +153,11 @@ def read_runs(
                 f"{sessions[0].sample_time:g} s and {session.label} has {session.sample_time:g} s; "
                 "resample by name when reading"
             )
-    windows = [_window(session, log.window) for session in sessions]
-    if None in windows and {"p_r", "p_h"} & set(columns):
+    means = averaged(columns)
+    if log.window is not None and not means:
+        raise ValueError("window is that of p_r and p_h, which this model lacks; leave it out")
+    windows = [_window(session, log.window) if means else 1 for session in sessions]
+    if None in windows:
         warn(
             f"{sessions[windows.index(None)].label}: nothing says whether p_r and p_h are means "
             "over a moving window, as (2.4) and (2.7) are, and a fit that takes means for the "
@@ -183,6 +188,21 @@ def as_list(sessions: Any) -> list:
     return sessions
 
 
+def each_once(sessions: list) -> list[Session]:
+    """Return a list of sessions; refuse what is none, and the same samples twice."""
+    seen: dict[str, list[Session]] = {}
+    for session in sessions:
+        of_class("sessions", session, Session, HOW_TO_GET)
+        others = seen.setdefault(session.label, [])
+        if any(session.data.equals(other.data) for other in others):
+            raise IdentificationError(
+                f"{session.label} occurs twice, with equal samples: they would count as twice the "
+                "data; pass every run once"
+            )
+        others.append(session)
+    return sessions
+
+
 def _stamp_error(session: Session, stated: float | None) -> float:
     """Return the standard deviation of the mode's time stamps [s]."""
     metadata = session.metadata
@@ -205,7 +225,14 @@ def _window(session: Session, stated: float | None) -> int | None:
         )
     if window is None and not session.metadata.synthetic:
         return None
-    return max(1, round(not_negative("window", window or 0.0) / session.sample_time))
+    step, window = session.sample_time, not_negative("window", window or 0.0)
+    samples = round(window / step)
+    if window and not samples:
+        raise ValueError(
+            f"window = {window:g} s is shorter than one sample of {session.label} ({step:g} s); "
+            "give seconds, or 0 if p_r and p_h are no means"
+        )
+    return max(1, samples)
 
 
 def joined(runs: list[Run], name: str) -> np.ndarray:
@@ -240,6 +267,11 @@ def block_means(runs: list[Run]) -> tuple[list[Run], int]:
 # --- means over a window -------------------------------------------------------------------------
 
 
+def averaged(names: Iterable[str]) -> list[str]:
+    """Return those of some columns that a window may average: performance."""
+    return [name for name in names if name in ("p_r", "p_h")]
+
+
 def counts(size: int, window: int) -> np.ndarray:
     """Return each window's sample count; windows at the start are shorter."""
     return np.minimum(np.arange(1.0, size + 1.0), window)
@@ -262,7 +294,7 @@ def undo_window(means: np.ndarray, window: int) -> np.ndarray:
 
 def undone(run: Run, names: Iterable[str]) -> Run:
     """Return a run with the values that the means in these columns were made of."""
-    return run.mapped(names, undo_window).changed({}, window=1, undone=run.window)
+    return run.mapped(averaged(names), undo_window).changed({}, window=1, undone=run.window)
 
 
 # --- a mode that acts late ------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.identification.log import Run, counts, joined, undone, window_means
+from trustlab.identification.log import Run, averaged, counts, joined, undone, window_means
 from trustlab.identification.model import IdentificationError, Model
 from trustlab.identification.noise import Noise, fitted_noise, outliers, scaled_roots, whiten
 from trustlab.models.checks import counted
@@ -130,8 +130,8 @@ class Problem:
         powers = [np.sum(joined(runs, name) ** 2) for name in model.outputs]
         self.floors = 1e-18 * np.maximum(powers, 1e-300)
         # The means of n values have 1/n times the density of the values themselves.
-        averaged = sum(np.log(counts(run.size, run.undone)).sum() for run in runs)
-        self.constant = -2.0 * len(model.outputs) * averaged
+        thinned = sum(np.log(counts(run.size, run.undone)).sum() for run in runs)
+        self.constant = -2.0 * len(averaged(model.outputs)) * thinned
         self.evaluated: tuple[Any, Any] = (None, None)
 
     def alike(self, model: Model, limits: Mapping) -> "Problem":
@@ -171,8 +171,10 @@ class Problem:
     def _outputs(self, run: Run, i: int, rows: np.ndarray) -> list[np.ndarray]:
         """Return outputs, shape (N, L), of a run in place of run i at L rows of values."""
         columns = dict(zip(self.model.unknowns, rows.T[self.of_run[i]].copy(), strict=True))
-        outputs = self.model.outputs_of(run, columns)
-        return [out if run.window == 1 else window_means(out, run.window) for out in outputs]
+        outputs = dict(zip(self.model.outputs, self.model.outputs_of(run, columns), strict=True))
+        for name in averaged(outputs) if run.window > 1 else ():
+            outputs[name] = window_means(outputs[name], run.window)
+        return [*outputs.values()]
 
     def simulated(self, run: Run, i: int, x: np.ndarray) -> list[np.ndarray]:
         """Return the outputs, shape (N,), of a run in place of run i at a full vector."""
@@ -495,7 +497,7 @@ def _views(model: Model, runs: list[Run]) -> Iterator[tuple[bool, list[Run]]]:
     Where it is in the means, the inputs are averaged for these, which gives a linear model's means
     but for the beginning.
     """
-    if all(run.window == 1 for run in runs):
+    if all(run.window == 1 for run in runs) or not averaged(model.outputs):
         yield False, runs
         return
     yield True, [undone(run, model.outputs) for run in runs]

@@ -1,5 +1,8 @@
 """Continuous-time transfer functions of order 1 and 2 from logs, as (A.1) was identified."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 from scipy import signal
 
@@ -10,6 +13,9 @@ from trustlab.identification.regression import paired_runs
 from trustlab.identification.result import FitResult
 from trustlab.models.checks import positive, whole_number
 from trustlab.models.uav import TransferFunction
+
+# Remedies of `fit` whose arguments this function does not have.
+FOREIGN = r", or fix (it|a parameter, for example fixed=\{.*?\})|, robust=False keeps them"
 
 # Denominators of the grid from which a search starts.
 STARTS = 3
@@ -71,7 +77,11 @@ def fit_transfer_function(
         raise IdentificationError(
             f"{samples} samples are too few for {unknowns} unknowns; record longer runs"
         )
-    return fit_runs(model, runs, noise, model.limits())
+    try:
+        result = fit_runs(model, runs, noise, model.limits())
+    except IdentificationError as error:
+        raise IdentificationError(re.sub(FOREIGN, "", str(error)), error.parameters) from error
+    return replace(result, message=re.sub(FOREIGN, "", result.message))
 
 
 def transfer_model(order: int, sample_time: float) -> Model:

@@ -537,6 +537,8 @@ def fit_robot(
     (0.996, True)
     """
     if p_h_max is not None:
+        if fixed and "p_h_max" in fixed:
+            raise ValueError("p_h_max is given twice: as itself and in fixed; give one of them")
         fixed = {**(fixed or {}), "p_h_max": positive("p_h_max", p_h_max)}
     try:
         joint = fit(OF_ROBOT, sessions, fixed, bounds, noise, log=log, **settings)

@@ -185,13 +185,14 @@ def of_class(name: str, value: object, kind: type[Kind], remedy: str = "") -> Ki
     Return a value that is an instance of `kind`.
 
     The error says how to obtain one: `remedy`, or the class's own attribute `how_to_get`; and where
-    the value carries what is wanted as `.session`, it says so.
+    the value carries what is wanted as `.session` or `.model`, it says so.
     """
     if isinstance(value, kind):
         return value
     remedy = remedy or getattr(kind, "how_to_get", "")
-    if isinstance(getattr(value, "session", None), kind):
-        remedy = "pass its .session"
+    for part in ("session", "model"):
+        if isinstance(getattr(value, part, None), kind):
+            remedy = f"pass its .{part}"
     hint = f"; {remedy}" if remedy else ""
     raise ValueError(f"{name} must be of class {kind.__name__}, got {type(value).__name__}{hint}")
 

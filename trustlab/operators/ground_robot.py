@@ -73,7 +73,8 @@ class Operator(Checked):
         Who this stands for.
     human : HumanModel
         Utilization (2.5) and performance (2.6), in the unit of (2.7) [m/s], which sets how the
-        operator drives.
+        operator drives. Its samples are 0.1 s: the `a` of a model fitted at another step [s] is
+        ``a ** (0.1 / step)`` here.
     robot_floor, robot_gain : float
         What robot performance comes to in the operator's hand, robot_floor + robot_gain · P_h
         [m/s]: where (2.3) settles under manual control, P_r,min + b_pr/(1 − a_pr) P_h. The defaults

@@ -61,8 +61,13 @@ def stream_of(
     rules: Sequence[ColumnRule],
     time: TableTime | BagTime,
     topic: str = "",
+    gap: float = np.inf,
 ) -> Stream:
-    """Return the columns of a table that rules name, in SI units, at times in seconds."""
+    """
+    Return the columns of a table that rules name, in SI units, at times in seconds.
+
+    The log is split at gaps of more than `gap` [s].
+    """
     values = {rule.name: numbers(table, rule) for rule in rules}
     place = table.place
     late = np.count_nonzero(np.diff(t) < 0.0) if time.sort else 0
@@ -71,8 +76,10 @@ def stream_of(
         t, place = t[order], lambda row: table.place(order[row])
         values = {name: column[order] for name, column in values.items()}
         table.notes[f"sorted {topic}".strip()] = f"{late} samples stood after a later one"
-    # A blank is filled from neighbours in its own session: not from across a jump of time.
-    jumps = np.flatnonzero(np.diff(t) < 0.0) + 1 if time.jumps else []
+    # A blank is filled from neighbours in its own session: not from across a jump of time or a gap.
+    steps = np.diff(t)
+    back = (steps < 0.0) & bool(time.jumps)
+    cuts = np.flatnonzero(back | (steps > gap)) + 1
     whole = np.ones(t.size, dtype=bool)
     for rule in rules:
         blank = np.isnan(values[rule.name]) if rule.blank else np.True_
@@ -80,14 +87,14 @@ def stream_of(
             continue
         note = f"{blank.sum()} of {t.size} cells, filled by {rule.blank!r}"
         table.notes[f"blanks of {rule.name}"] = note
-        parts = zip(np.split(t, jumps), np.split(values[rule.name], jumps), strict=True)
+        parts = zip(np.split(t, cuts), np.split(values[rule.name], cuts), strict=True)
         values[rule.name] = np.concatenate([_filled(*part, rule.blank) for part in parts])
         whole &= ~np.isnan(values[rule.name])
     if not whole.all():
         rows = np.flatnonzero(whole)
         if not rows.size:
             raise SessionError("no row has a value, or blanks to be filled, in every column")
-        if np.count_nonzero(np.diff(t[rows]) < 0.0) < len(jumps):
+        if np.count_nonzero(np.diff(t[rows]) < 0.0) < np.count_nonzero(back):
             raise SessionError(
                 "without the rows whose blanks have no neighbour in their session, time does not "
                 "run back where the next begins; fill these cells in the log"
@@ -109,9 +116,9 @@ def _filled(t: np.ndarray, values: np.ndarray, way: str) -> np.ndarray:
     known = np.flatnonzero(~np.isnan(values))
     if way == "hold" or not known.size:
         return pd.Series(values).ffill().to_numpy()
-    inside = slice(known[0], known[-1] + 1)
-    filled = np.full_like(values, np.nan)
-    filled[inside] = np.interp(t[inside], t[known], values[known])
+    blank = np.isnan(values)
+    filled = values.copy()
+    filled[blank] = np.interp(t[blank], t[known], values[known], left=np.nan, right=np.nan)
     return filled
 
 
@@ -132,6 +139,7 @@ def numbers(table: Table, rule: ColumnRule | None = None) -> np.ndarray:
             return np.asarray(values.array, dtype=None if kind == "i" else float)
         if kind in "mMc":
             hint = 'write seconds, or set [time] unit = "iso" in a recipe'
+            hint = "write seconds, its .dt.total_seconds()" if kind == "m" else hint
             raise table.error(0, label, f"holds {values.dtype}, not numbers; {hint}")
     cells = values.map(str, na_action="ignore") if values.dtype == object else values
     codes, words = pd.factorize(cells)
@@ -174,6 +182,11 @@ def times_of(table: Table, time: TableTime) -> np.ndarray:
     blank = np.isnan(raw)
     if blank.any():
         raise table.error(int(np.argmax(blank)), "column t", "is blank; every row needs a time")
+    if table.frame["t"].dtype == np.float32:
+        digit, steps = np.spacing(np.float32(np.abs(raw).max())), np.abs(np.diff(raw))
+        if 0.0 in steps and steps[steps > 0.0].min(initial=np.inf) <= digit:
+            fault = f"32-bit floats know times about {raw[0]:g} to {digit:g}: write 64-bit ones"
+            raise table.error(int(np.argmin(steps)) + 1, "column t", f"repeats; {fault}")
     if time.from_zero and np.isfinite(raw[0]):
         table.notes["start_time"] = float(time.seconds(raw[0].item()))
         raw = raw - raw[0]  # before the conversion to float, which would round large integers
@@ -218,7 +231,7 @@ def _check_times(table: Table, bad: pd.Series, example: str) -> None:
 
 def parts_of(log: RawLog, recipe: Recipe) -> list[RawLog]:
     """Return the parts of a log that make a session each: all of it, or what the recipe splits."""
-    time, gap = recipe.time, recipe.splitting.gap if recipe.splitting else np.inf
+    time, gap = recipe.time, recipe.gap
     streams = log.streams
     if time.repeated:
         streams = [_merged(stream, time.repeated, log.notes) for stream in streams]
@@ -255,8 +268,8 @@ def _merged(stream: Stream, rule: str, notes: dict) -> Stream:
     if groups[-1] == groups.size:
         return stream
     whole = (*STATES, "yaw") if rule == "mean" else ()
-    ways = {name: "last" if name in whole else rule for name in stream.frame}
-    merged = stream.frame.groupby(groups).agg(ways)
+    own = dict.fromkeys(whole, "last") | {"step_distance": "sum"}  # since the sample before
+    merged = stream.frame.groupby(groups).agg({n: own.get(n, rule) for n in stream.frame})
     merged.index = stream.frame.index[np.flatnonzero(np.diff(groups, prepend=0))]
     label = f"repeated times {stream.topic}".strip()
     notes[label] = f"{groups.size - groups[-1]} of {groups.size} samples merged by {rule!r}"

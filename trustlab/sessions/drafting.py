@@ -39,8 +39,10 @@ NAMES = {
 SPELLINGS = {name: name for name in UNITS} | {"pct": "%", "percent": "%", "perc": "%"}
 SPELLED = "|".join(sorted(map(re.escape, SPELLINGS), key=len, reverse=True))
 UNIT_AT_END = re.compile(rf"(.+?)(?:\s*[\[(]\s*({SPELLED})\s*[\])]|[_ ]({SPELLED}))")
-MANUAL = r"(?i)(manu\w+|human|mensch|person|op(erator)?|user|teleop\w*|hand|on|true)"
-AUTONOMOUS = r"(?i)(auto\w*|robot\w*|machine|controller|off|false)"
+MANUAL = r"(?i)(manu\w+|human|mensch|person|op(erator)?|user|teleop\w*|hand)"
+AUTONOMOUS = r"(?i)(auto\w*|robot\w*|machine|controller)"
+# Answers, of which the column's name is the question.
+YES, NO = r"(?i)on|true|yes|1(\.0)?", r"(?i)off|false|no|0(\.0)?"
 STEPS = {"s": 5.0, "ms": 5e3, "us": 5e6}  # the longest step between rows that looks like the unit
 
 
@@ -218,18 +220,22 @@ def _rule(ours: str, name: Any, values: pd.Series, reason: str) -> str:
     if written or needed not in ("1", "measure"):
         keys["unit"] = f'"{written or (needed if same else "?")}"'
     codes = values.dropna().unique()
-    if not _is_number(values) or (ours == "mode" and not {*codes} <= {0, 1}):
-        keys["map"] = f"{{ {', '.join(map(_entry, codes[:10]))} }}"
+    mapped = re.fullmatch(AUTONOMOUS, _parts(name)[0]) or not {*codes} <= {0, 1}
+    if not _is_number(values) or (ours == "mode" and mapped):
+        keys["map"] = f"{{ {', '.join(_entry(name, code) for code in codes[:10])} }}"
     elif ours == "mode":
         remarks.append("check that 1 is manual")
     comment = f"  # {'; '.join(remarks)}" if remarks else ""
     return f"{ours} = {{ {', '.join(map(' = '.join, keys.items()))} }}{comment}"
 
 
-def _entry(code: Any) -> str:
+def _entry(name: Any, code: Any) -> str:
     """Return an entry of the map of modes: 1 manual, 0 autonomous, "?" where nothing says so."""
     word = str(code)
-    manual, autonomous = re.fullmatch(MANUAL, word), re.fullmatch(AUTONOMOUS, word)
+    no = re.fullmatch(NO, word)
+    said = _parts(name)[0] if no or re.fullmatch(YES, word) else word
+    pair = [re.fullmatch(MANUAL, said), re.fullmatch(AUTONOMOUS, said)]
+    manual, autonomous = reversed(pair) if no else pair
     return f"{_quoted(word)} = " + ("1" if manual else "0" if autonomous else '"?"')
 
 

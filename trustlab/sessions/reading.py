@@ -427,7 +427,7 @@ class Reader:
         if self.plain:
             recipe = plain_recipe([name for name in table.frame if name != "t"])
         t = times_of(table, recipe.time)
-        stream = stream_of(table, t, self._measured(recipe), recipe.time)
+        stream = stream_of(table, t, self._measured(recipe), recipe.time, gap=recipe.gap)
         return self._sessions(RawLog(source, [stream], table.metadata, table.notes), recipe, values)
 
     def _sessions(self, log: RawLog, recipe: Recipe, values: Mapping[str, Any]) -> list[Session]:

@@ -32,7 +32,8 @@ and resampling is asked for by name.
                                     # metadata start_time
     sort = true                     # order the rows by time, where they are out of order
     jumps = "split"                 # begin a new session of read_sessions where time runs back
-    repeated = "first"              # or "last", "mean": what to do with times that repeat
+    repeated = "first"              # or "last", "mean": what to do with times that repeat;
+                                    # of step_distance the sum
 
     [time]                          # kind = "bag": t counts from the first sample;
                                     # metadata start_time says when that was
@@ -122,9 +123,12 @@ Stamp = Literal["receive", "header"]
 Axis = Literal["x", "y", "z"]
 Plain = str | bool | float
 
-# Columns that name a state; "linear" holds their previous value, as the log never was in half a
-# state.
-STATES = ("mode", "suggested_mode")
+# Columns that name a state or a robot; "linear" holds their previous value, as the log never was in
+# half a state.
+STATES = (
+    *("mode", "suggested_mode", "alpha_choice", "may_switch", "goals_reached"),
+    *("leader", "leader_choice", "leader_suggested", "leader_most_trusted", "leader_hysteresis"),
+)
 
 # How a number is written in a table.
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
@@ -516,6 +520,11 @@ class Recipe:
             if name not in fields:
                 known = alternatives(name, fields, "its fields")
                 raise RecipeError(f"[header]: {name!r} is no field of the files pattern{known}")
+
+    @property
+    def gap(self) -> float:
+        """The longest gap [s] at which a log is not split."""
+        return self.splitting.gap if self.splitting else np.inf
 
     @property
     def pattern(self) -> PathPattern | None:

@@ -130,6 +130,10 @@ def _interpolate(
 ) -> np.ndarray:
     """Return a column at the times of the grid; `slack` [s] is rounding."""
     times, values = stream.t, stream.frame[name].to_numpy()
+    if name == "step_distance":  # since the sample before: what adds up is the way so far
+        way = stream.of(pd.DataFrame({"way": values.cumsum()}, index=times))
+        steps = np.diff(_interpolate(way, "way", grid, slack, method)).clip(min=0.0)
+        return np.r_[steps[:1], steps]
     if method == "linear":
         if name != "yaw":
             return np.interp(grid, times, values)

@@ -321,7 +321,9 @@ class Session(Result):
         if not (isinstance(start, Real) and isinstance(stop, Real) and start < stop):
             times = f"{shown(start)} and {shown(stop)}"
             raise SessionError(f"start and stop must be times [s], start first, got {times}")
-        part = self.data.loc[start:stop]
+        first, last = self.t[[0, -1]].tolist()
+        slack = 1e-6 * self.sample_time  # rounding of times that were computed
+        part = self.data.loc[max(start, first) - slack : min(stop, last) + slack]
         if len(part) < 2:
             fault = f"no two samples lie between {start} s and {stop} s"
             extent = f"the session runs from {self.t[0]:g} s to {self.t[-1]:g} s"

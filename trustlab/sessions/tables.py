@@ -82,7 +82,10 @@ def read_parquet(path: Path, chosen: Chosen, layout: TableRule) -> Table:
 
 def frame_table(frame: pd.DataFrame, chosen: Chosen, layout: TableRule) -> Table:
     """Return the table in a data frame; an index with a name is a column as well."""
-    frame = frame.reset_index(drop=frame.index.name is None)
+    index = frame.index.name
+    if index is not None and index in frame:
+        raise SessionError(f"{index!r} is both index and column; frame.reset_index(drop=True)")
+    frame = frame.reset_index(drop=index is None)
     places = positions(chosen, [str(name) for name in frame.columns], layout.header)
     columns = {name: frame.iloc[:, place].copy() for name, place in places.items()}
     frame = pd.DataFrame(columns, copy=False)

@@ -469,7 +469,8 @@ def run_condition(
         `following_operator`, or an `Operator` with a model in shares of 1.
     model : TscModel, optional
         The model which TSC and P_max of Algorithm 2 are taken from: the operator's identified one.
-        For a participant by number it is known; needed for an `Operator`.
+        For a participant by number it is known; needed for an `Operator`. Its samples are 0.1 s, as
+        those of the operator's own model.
     thresholds : (float, float), optional
         TSC_l and TSC_u of (2.8), in C2 and C3 only; for a printed participant those of Table 2.2
         when not given. In C1 the operator's own thresholds, `Operator.lower` and `.upper`, decide;

@@ -5,6 +5,7 @@ Oracles: the people that logs were made of; conjugate normal arithmetic where pe
 exactly; half-t spreads and their correlations by simulation of the prior.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -114,6 +115,14 @@ def test_everyone_is_held_by_the_others(people):
     assert "Population of 3" in people._repr_html_()
     with pytest.raises(ValueError, match="name"):
         people.posterior("4")
+
+
+def test_people_may_be_named_by_whole_numbers(people):
+    """Their posteriors could not be had by any name."""
+    numbered = replace(people, posteriors=dict(enumerate(people.posteriors.values())))
+    assert numbered.posterior(1) is numbered.posterior("1") is [*people.posteriors.values()][1]
+    with pytest.raises(ValueError, match=r"one of '0', '1'.*, got '77'"):
+        numbered.posterior(77)
 
 
 def test_what_is_predicted_is_the_next_ones_prior(people):

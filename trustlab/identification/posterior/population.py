@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from trustlab.identification.log import LogSettings, as_list
+from trustlab.identification.log import LogSettings, as_list, each_once
 from trustlab.identification.posterior.density import (
     R0,
     SHARED,
@@ -161,8 +161,8 @@ class Population(Result):
         What is expected of a new person: the prior for the next one's sessions.
     """
 
-    posteriors: dict[str, Posterior]
-    alone: dict[str, Posterior]
+    posteriors: dict[str | int, Posterior]
+    alone: dict[str | int, Posterior]
     new_person: pd.DataFrame
     prior: Prior
 
@@ -171,13 +171,13 @@ class Population(Result):
     def __len__(self) -> int:
         return len(self.posteriors)
 
-    def posterior(self, name: str) -> Posterior:
+    def posterior(self, name: str | int) -> Posterior:
         """
         Return the posterior of one person.
 
         Parameters
         ----------
-        name : str
+        name : str or int
             As given to `fit_population`.
 
         Raises
@@ -185,7 +185,8 @@ class Population(Result):
         ValueError
             If there is no such person.
         """
-        return self.posteriors[one_of("name", name, self.posteriors)]
+        known = {str(each): each for each in self.posteriors}
+        return self.posteriors[known[one_of("name", str(name), known)]]
 
     @property
     def synthetic(self) -> bool:
@@ -239,7 +240,7 @@ class Population(Result):
 
 
 def fit_population(
-    people: Mapping[str, Session | Iterable[Session]],
+    people: Mapping[str | int, Session | Iterable[Session]],
     prior: str | Prior = "weak",
     n: int = 1000,
     seed: int = 0,
@@ -257,7 +258,7 @@ def fit_population(
 
     Parameters
     ----------
-    people : mapping of str to Session or iterable of Session
+    people : mapping of str or int to Session or iterable of Session
         Sessions of each person, as for `sample_posterior`; two people at least.
     prior : {"weak", "published"} or Prior
         What is taken for granted about the population's mean, about noise and initial states.
@@ -311,8 +312,9 @@ def fit_population(
     seeds = [int(value) for value in root.generate_state(2 * len(people))]
     rng = np.random.default_rng(root)
     sessions = {name: as_list(each) for name, each in people.items()}
+    each_once([session for of_person in sessions.values() for session in of_person])
     expected = prior
-    alone: dict[str, Posterior] = {}
+    alone: dict[str | int, Posterior] = {}
     hidden = None if progress is None else not flag("progress", progress)
     steps = iter(tqdm(seeds, unit="posterior", disable=hidden))
     for _ in range(2):
