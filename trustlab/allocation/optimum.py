@@ -277,13 +277,13 @@ def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tup
     """
     c, scales = tsc.constants(), _scales(tsc, weight)
     least_rest = max(1.0 - limit, 1e-12) / limit * (1.0 - 1e-12)  # for each manual sample
-    many = DENSE if limit < 1.0 else 0
     longest = min(max(LONGEST, MOST_DWELLS * least), MOST_SAMPLES) / 3.0
 
-    def best_of(manual: np.ndarray, autonomous: np.ndarray) -> np.ndarray:
+    def best_of(manual: np.ndarray, autonomous: np.ndarray, many: int) -> np.ndarray:
         """
         Return the best of all pairs, and of many manual phases between them with the least rest.
         """
+        many = many if limit < 1.0 else 0
         pairs = np.array(np.meshgrid(manual, autonomous)).reshape(2, -1)
         between = np.geomspace(max(manual.min(), least), max(manual.max(), least), many)
         pairs = np.hstack([pairs, [between, np.full(many, least)]])
@@ -298,11 +298,11 @@ def _best_pattern(tsc: TscModel, weight: float, least: int, limit: float) -> tup
         if limit < 1.0:  # whatever keeps the limit with the shortest phases
             longest = max(longest, least * least_rest + 1.0, least / least_rest + 1.0)
         coarse = np.geomspace(least, longest, 36)
-        best = best_of(coarse, coarse)
+        best = best_of(coarse, coarse, DENSE)
         reach = max(4, int(0.1 * best.max()))
         while reach > 0:
             offsets = np.linspace(-reach, reach, 11)
-            best = best_of(best[0] + offsets, best[1] + offsets)
+            best = best_of(best[0] + offsets, best[1] + offsets, DENSE // 10)
             reach //= 3
         ended = best.max() > 0.9 * longest
     return int(best[0]), int(best[1])
@@ -314,12 +314,16 @@ def _best_thresholds(
     """Return the best pair of thresholds on TSC that keeps dwell time and mean r."""
     # TSC lies between −1 and 1, (2.2).
     pairs = grid_of_pairs(-1.0, 1.0, TRIED)
-    ranked = _by_points(survey([tsc], pairs, SCREEN), weight)[["lower", "upper"]].to_numpy()
+
+    def keeping(motions: pd.DataFrame, slack: float) -> pd.DataFrame:
+        dwells = motions[["dwell_manual_low", "dwell_autonomous_low"]].min(axis=1)
+        return motions[(dwells >= (1.0 - slack) * least) & (motions["mean_r"] <= limit + slack)]
+
+    screened = _by_points(keeping(survey([tsc], pairs, SCREEN), 0.1), weight)
+    ranked = screened[["lower", "upper"]].to_numpy()
     able = pd.DataFrame()
     for first in range(0, len(ranked), FOLLOWED):
-        motions = survey([tsc], ranked[first : first + FOLLOWED])
-        dwells = motions[["dwell_manual_low", "dwell_autonomous_low"]].min(axis=1)
-        able = pd.concat([able, motions[(dwells >= least) & (motions["mean_r"] <= limit)]])
+        able = pd.concat([able, keeping(survey([tsc], ranked[first : first + FOLLOWED]), 0.0)])
         if len(able) >= FOLLOWED:
             break
     if able.empty:

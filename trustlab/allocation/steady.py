@@ -141,6 +141,7 @@ def motions(
         for lower, upper in np.asarray(pairs).tolist():
             for rested in starts:
                 motion = steady_motion(c, lower, upper, rested, *follow)
+                motion[DWELL:] *= times  # in samples, however long
                 (low, high, _), (*_, p_r), (*_, p_h) = motion[:3].tolist()
                 verdicts = low <= high, low <= c.beta <= high
                 off_beta = max(low - c.beta, c.beta - high)
