@@ -12,7 +12,7 @@ from trustlab.models.checks import did_you_mean, shown, whole_number
 from trustlab.models.published import printed_pilot, published_folder
 from trustlab.reproduction.printed import half_unit, printed_interval
 from trustlab.reproduction.published import published_facts, published_table
-from trustlab.reproduction.published_study import published_studies
+from trustlab.reproduction.published_study import PublishedStudy, published_studies
 
 PARTICIPANTS = ("1", "2", "3", "4", "5")
 TABLES = ("2.1", "2.2", "2.3", "2.4", "2.5", "2.6", "3.1")
@@ -104,8 +104,14 @@ def _pilot() -> Iterator[PrintedNumber]:
         yield PrintedNumber(f"pilot/{key}", where, f"{key} of the pilot operator", text)
 
 
+@cache
+def studies() -> Mapping[str, PublishedStudy]:
+    """Return the printed studies, read once."""
+    return published_studies()
+
+
 def _studies() -> Iterator[PrintedNumber]:
-    for name, study in published_studies().items():
+    for name, study in studies().items():
         where, title = study.where.split(" (")[0], study.title
         # Of the UAV study no n is printed, but the degrees of freedom.
         n = "df 140" if name.startswith("uav.") else str(study.n)

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from trustlab.reproduction.audit.catalogue import PrintedNumber
+from trustlab.reproduction.audit.catalogue import PrintedNumber, studies
 from trustlab.reproduction.audit.check import Numbers, Row, listing, row_about
 from trustlab.reproduction.printed import ROUNDINGS, printed_interval
 from trustlab.reproduction.published import published_facts
-from trustlab.reproduction.published_study import PRINTED, published_studies
+from trustlab.reproduction.published_study import PRINTED
 from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS
 from trustlab.reproduction.reconstruction.contradictions import contradictions
 
@@ -41,7 +41,7 @@ PEOPLE = {
 def study_conflicts(numbers: Numbers) -> dict[str, str]:
     """Return numbers of studies that others contradict however p was adjusted, with the reason."""
     conflicts = {}
-    for name in published_studies():
+    for name in studies():
         texts = ((id, x.printed) for id, x in numbers.items() if id.startswith(f"{name}/"))
         conflicts |= _conflicts(name, int(numbers[f"{name}/n"].value), tuple(texts))
     return conflicts
@@ -50,7 +50,7 @@ def study_conflicts(numbers: Numbers) -> dict[str, str]:
 @cache
 def _conflicts(name: str, n: int, texts: tuple[tuple[str, str], ...]) -> dict[str, str]:
     """Return the conflicts of one study; what is printed of it is proved wrong once."""
-    printed, study = dict(texts), published_studies()[name]
+    printed, study = dict(texts), studies()[name]
     fields: dict[str, Any] = {
         key: {part: printed[f"{name}/{key}.{part}"] for part in getattr(study, key)}
         for key in PRINTED
@@ -149,7 +149,7 @@ def remarks(numbers: Numbers, conflicts: Mapping[str, str]) -> Iterator[Row]:
     ends = ("chi2", "p", "df")
     tests = {
         study: [numbers[f"{study}/mauchly.{end}"] for end in ends]
-        for study, printed in published_studies().items()
+        for study, printed in studies().items()
         if printed.mauchly.keys() >= {*ends}
     }
     for (first, test), (_, (chi2, p, df)) in combinations(tests.items(), 2):
