@@ -78,10 +78,6 @@ def test_performance_outside_the_range(corrector):
     assert (nearest.status, nearest.message) == ("planned", NEAREST)
     assert nearest.c_l == corrector.step(0.0, 0.35, *START, 1).c_l
     assert online(corrector).update(0.35 + 1e-12, 0.38).message == OPTIMAL
-    for p_h in (39.0, -5.0):  # such as per cent: TSC lies outside of [−1, 1]
-        for outside in ("hold", "nearest"):
-            step = online(corrector, outside=outside).update(0.3, p_h)
-            assert (step.status, step.message) == ("held", OUTSIDE)
 
 
 def test_odd_measurements_are_refused_and_change_nothing(corrector):

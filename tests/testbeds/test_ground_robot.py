@@ -83,7 +83,7 @@ def test_the_models_fit_its_sessions(operators):
         assert robot.model.p_min == pytest.approx(0.245, abs=0.01)
         assert robot.model.p_max == pytest.approx(0.395, abs=0.015)
         # as the session itself says
-        assert "fitted as means over a moving window of 100 s" in robot.message
+        assert "p_h and p_r as means over a moving window of 100 s" in robot.message
         assert human.model.beta == pytest.approx(pilot.human.beta, abs=0.15)
         assert human.fit_percent > 40.0
         fits.append(robot.fit_percent)

@@ -45,7 +45,7 @@ REFUSED = [
     (lambda: fly(delay=(0.0, 0.1)), "delay to the robot.* at least one sample"),
     (
         lambda: fly(delay=late_from(100.0)),
-        "begins at 100 s, after the end of the run",
+        "arrives at 100.1 s, after the end of the run",
     ),
     (lambda: fly(delay=late_from(0.0)), "delay to the robot: .*until 0.2 s, and the run lasts"),
     (

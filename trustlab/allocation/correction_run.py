@@ -5,7 +5,6 @@ tests as in Fig. 2.18, on the model.
 
 import math
 from dataclasses import dataclass
-from numbers import Real
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -166,11 +165,9 @@ class OnlineCorrection:
         missing = math.isnan(tsc)
         nearest = min(max(p_r, c.p_r_min), c.p_r_max)
         inside = abs(p_r - nearest) <= ROUNDING * (c.p_r_max - c.p_r_min)
-        # TSC lies between −1 and 1, (2.2), unless P_h is no such performance.
-        likely = abs(tsc_at.py_func(nearest, p_h, c)) <= 1.0 + ROUNDING
         corrections, costs = (0.0, 0.0), (math.nan, math.nan)
         status, message = "held", MISSING if missing else OUTSIDE
-        if likely and (inside or self._nearest):
+        if not missing and (inside or self._nearest):
             plan = self.corrector.step(r, nearest, lower, upper, now)
             corrections, costs = (plan.c_l, plan.c_u), (plan.cost, plan.cost_lower_bound)
             status = plan.status
@@ -200,7 +197,8 @@ class OnlineCorrection:
 
 def _missing(value: Any) -> bool:
     """Return whether a measurement did not come."""
-    return value is None or value is pd.NA or (isinstance(value, Real) and math.isnan(value))
+    number = isinstance(value, float | np.floating)
+    return value is None or value is pd.NA or (number and math.isnan(value))
 
 
 # --- consecutive tests ----------------------------------------------------------------------------

@@ -259,7 +259,7 @@ class RepeatedMeasures(Tested):
         ValueError
             If an adjustment is unknown, or is chosen where no pairs are reported.
         """
-        if adjust != "holm":
+        if isinstance(adjust, str) and adjust != "holm":
             self._refuse_several_factors(f"apa(adjust={adjust!r})")
         return apa_report(self, adjust)
 
