@@ -143,16 +143,26 @@ def test_blanks_are_filled_as_pandas_fills_them(cells, row):
 
 
 @pytest.mark.parametrize("blank", ["hold", "linear"])
-def test_blanks_at_the_edge_of_a_session_are_cut_and_not_filled_from_the_next(tmp_path, blank):
-    """They were held across the jump, or refused with the remedy that the recipe had taken."""
-    (tmp_path / "run.csv").write_text("t,a\n0,1\n1,2\n2,3\n3,\n0,\n1,5\n2,6\n")
+@pytest.mark.parametrize(
+    ("rows", "parts", "begins"),
+    [
+        ("0,1\n1,2\n2,3\n3,\n0,\n1,5\n2,6", '[time]\nunit = "s"\njumps = "split"', 1),
+        ("0,1\n1,2\n2,3\n3,\n9,\n10,5\n11,6", "[splitting]\ngap = 2", 10),
+    ],
+)
+def test_blanks_at_the_edge_of_a_session_are_cut_and_not_filled_from_the_next(
+    tmp_path, rows, parts, begins, blank
+):
+    """They were held across the jump or the gap, or lay on a line to the next session."""
+    (tmp_path / "run.csv").write_text(f"t,a\n{rows}\n")
     recipe = table_recipe(
-        '[files]\npattern = "run.csv"\n[time]\nunit = "s"\njumps = "split"\n'
+        f'[files]\npattern = "run.csv"\n{parts}\n'
         f'[columns]\npath_error = {{ column = "a", blank = "{blank}", unit = "m" }}\n'
     )
     first, second = read_sessions(tmp_path, recipe)
     assert first["path_error"].tolist() == ([1, 2, 3, 3] if blank == "hold" else [1, 2, 3])
-    assert (second.t.tolist(), second["path_error"].tolist()) == ([1, 2], [5, 6])
+    assert second.t.tolist() == [begins, begins + 1]
+    assert second["path_error"].tolist() == [5, 6]
 
 
 @pytest.mark.parametrize("rule", ["first", "last", "mean"])
@@ -164,19 +174,6 @@ def test_filling_blanks_leaves_what_was_measured(rule):
     session = read_frame(frame, table_recipe(text + columns))
     merged = {"first": 0.3, "last": 0.5, "mean": 0.4}[rule]
     np.testing.assert_allclose(session["p_r"], [0, 0.1, 0.2, merged, 0.6])
-
-
-@pytest.mark.parametrize("blank", ["hold", "linear"])
-def test_blanks_are_not_filled_across_a_gap_at_which_the_log_is_split(tmp_path, blank):
-    """The first sample after the gap held, or lay on a line to, the last one before it."""
-    (tmp_path / "run.csv").write_text("t,a\n0,1\n1,2\n2,\n9,\n10,5\n11,6\n")
-    recipe = table_recipe(
-        '[files]\npattern = "run.csv"\n[splitting]\ngap = 2\n'
-        f'[columns]\npath_error = {{ column = "a", blank = "{blank}", unit = "m" }}\n'
-    )
-    first, second = read_sessions(tmp_path, recipe)
-    assert first["path_error"].tolist() == ([1, 2, 2] if blank == "hold" else [1, 2])
-    assert (second.t.tolist(), second["path_error"].tolist()) == ([10, 11], [5, 6])
 
 
 # --- resampling ---------------------------------------------------------------------------------
