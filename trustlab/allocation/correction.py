@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -467,12 +468,12 @@ class ThresholdCorrector:
         state = np.array([r, p_r, lower, upper])
         cost, bound, path = self.followed(state, mode, self._clipped)
         message = OPTIMAL if cost == bound else BOUNDED
-        if np.isnan(cost):
+        if isnan(cost):
             message = UNSOUND
         elif self.program is not None:
             bound = np.nan
             cost, path, message = self.program.improved(state, mode, cost, path)
-        held = np.isnan(cost)
+        held = isnan(cost)
         if held:  # nothing is predicted
             path[:, 1:] = np.nan
             path[[C_L, C_U], 0] = 0.0

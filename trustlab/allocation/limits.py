@@ -203,5 +203,5 @@ def threshold_pair(name: str, pair: tuple[float, float]) -> tuple[float, float]:
         ) from None
     low = f"the lower {name}"
     high = f"the upper {name}"
-    in_order(low, lower, high, upper)
+    lower, upper = in_order(low, lower, high, upper)
     return between(low, lower, -1.0, 1.0), between(high, upper, -1.0, 1.0)

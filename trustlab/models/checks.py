@@ -72,8 +72,8 @@ def counted(count: int, noun: str) -> str:
 
 def finite_number(name: str, value: Any) -> float:
     """Return one finite real number as a float; text, booleans and arrays are refused."""
-    if type(value) is float and math.isfinite(value):  # as nearly always; what follows takes longer
-        return value
+    if isinstance(value, float) and math.isfinite(value):  # nearly always; the rest takes longer
+        return float(value)  # NumPy's floats are Python's, too
     if isinstance(value, np.ndarray):
         value = value[()]  # a scalar, where it has no dimensions
     try:
