@@ -117,6 +117,12 @@ def test_everyone_is_held_by_the_others(people):
         people.posterior("4")
 
 
+@pytest.mark.parametrize("names", [(1, "1"), ("ann", "new person")])
+def test_two_people_of_one_name_are_refused(names):
+    with pytest.raises(ValueError, match=f"people: '{names[1]}' names two rows"):
+        tl.fit_population(dict.fromkeys(names))
+
+
 def test_people_may_be_named_by_whole_numbers(people):
     """Their posteriors could not be had by any name."""
     numbered = replace(people, posteriors=dict(enumerate(people.posteriors.values())))

@@ -306,6 +306,12 @@ def fit_population(
             "people must map names to sessions, of two people at least; of one person, "
             "sample_posterior(sessions) draws"
         )
+    texts = [*map(str, people), NEW]
+    if repeated := [text for text in texts if texts.count(text) > 1]:
+        raise ValueError(
+            f"people: {repeated[0]!r} names two rows of the table ({NEW!r} is its last); name "
+            "people apart"
+        )
     prior = as_prior(prior)
     n = whole_number("n", n, least=100, most=100_000)
     root = np.random.SeedSequence(whole_seed(seed))
