@@ -210,7 +210,8 @@ def test_a_group_of_tests_stays_in_one_worker(request):
 def test_examples(name, monkeypatch, tmp_path):
     (tmp_path / "data").symlink_to(ROOT / "data")  # some read it, and what they write is left here
     monkeypatch.chdir(tmp_path)
-    done = doctest.testmod(importlib.import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
+    module, flags = importlib.import_module(name), doctest.NORMALIZE_WHITESPACE
+    done = doctest.testmod(module, globs={}, optionflags=flags)  # as who copies them begins
     assert done.attempted > 0
     assert done.failed == 0
 

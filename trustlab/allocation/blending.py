@@ -100,7 +100,8 @@ class OptimalBlending:
 
     Examples
     --------
-    >>> blending = OptimalBlending(alpha_min=0.2)
+    >>> import trustlab as tl
+    >>> blending = tl.OptimalBlending(alpha_min=0.2)
     >>> still = [0.0, 0.0, 0.0]
     >>> commands = {"u_h": [0.1, 0, 0], "u_a": [0.3, 0, 0]}
     >>> alpha = blending.step(**commands, e=[1.0, 0, 0], rate=still, acceleration=still)

@@ -57,7 +57,8 @@ class ThresholdRule:
 
     Examples
     --------
-    >>> rule = ThresholdRule(lower=0.02, upper=0.45)
+    >>> import trustlab as tl
+    >>> rule = tl.ThresholdRule(lower=0.02, upper=0.45)
     >>> [rule.step(tsc=value) for value in (0.3, 0.5, 0.3, 0.0)]
     [1, 0, 0, 1]
     """

@@ -205,8 +205,8 @@ def choose_thresholds(
     objective : {"peak", "mean"} or float
         What is to be great: "peak", the highest robot performance, as printed, ties by the mean; a
         weight w in [0, 1] for w · robot performance + (1 − w) · human performance, both mean and in
-        points of (2.39); "mean" is w = 1. For the printed operators the peak costs 9 to 27 points
-        of mean robot performance, and puts β at the edge of the range.
+        points of (2.39); "mean" is w = 1. Against the best of all rules the peak costs the printed
+        operators 9 to 27 points of mean robot performance.
     confidence : float, optional
         For a posterior alone: the probability that a pair must have to be offered, in (0, 1); 0.95
         when not given.
@@ -284,7 +284,7 @@ def choose_thresholds(
             best = OBJECTIVES.get(str(objective), "greatest weighted performance")
             message = (
                 f"Thresholds {lower:.3f} and {upper:.3f}: the rule {goal} {sure}; of the pairs "
-                f"that do they reach the {best}. Limits: {limits.message}."
+                f"that do, they reach the {best}. Limits: {limits.message}."
             )
             message += _beside_theorem_1(models, lower, upper)
             message += " Utilization does not enclose β." * (around < asked)

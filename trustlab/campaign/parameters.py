@@ -42,7 +42,8 @@ def parameter_grid(repeats: int = 1, **axes: Iterable) -> list[dict]:
 
     Examples
     --------
-    >>> list(parameter_grid(lower=[0.0, 0.1], upper=[0.4, 0.5]))[1]
+    >>> import trustlab as tl
+    >>> list(tl.parameter_grid(lower=[0.0, 0.1], upper=[0.4, 0.5]))[1]
     {'lower': 0.0, 'upper': 0.5}
     """
     for name, values in axes.items():

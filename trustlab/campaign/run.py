@@ -123,12 +123,13 @@ def run_campaign(
 
     Examples
     --------
+    >>> import numpy as np
     >>> import trustlab as tl
     >>> def mean(n, seed):
     ...     return {"mean": float(np.random.default_rng(seed).normal(size=n).mean())}
     >>> table = tl.run_campaign(mean, tl.parameter_grid(n=[10, 100], repeats=50), seed=1, n_jobs=1)
-    >>> len(table)
-    100
+    >>> len(table), int(table["failed"].sum())
+    (100, 0)
     """
     start = perf_counter()
     check_parameters(parameters)

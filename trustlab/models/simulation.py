@@ -145,6 +145,7 @@ class Simulation:
 
     >>> import numba
     >>> import numpy as np
+    >>> from trustlab.models.simulation import Simulation
     >>> @numba.njit
     ... def tank(first, stop, setup, state, inputs, log):
     ...     for k in range(first, stop):

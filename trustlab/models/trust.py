@@ -84,7 +84,8 @@ class TrustModel:
 
     Examples
     --------
-    >>> trust = TrustModel(a=0.2, b=0.2)
+    >>> import trustlab as tl
+    >>> trust = tl.TrustModel(a=0.2, b=0.2)
     >>> round(trust.step(0.5, performance=1.0, sample_time=0.1), 6)
     0.509901
     """
@@ -281,7 +282,8 @@ class LogisticScaling(_Scaling):
 
     Examples
     --------
-    >>> LogisticScaling(low=0.05, high=1.0).value(0.5)
+    >>> import trustlab as tl
+    >>> tl.models.LogisticScaling(low=0.05, high=1.0).value(0.5)
     0.525
     """
 

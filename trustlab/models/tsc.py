@@ -186,7 +186,8 @@ class RobotModel:
 
     Examples
     --------
-    >>> robot = RobotModel(a=0.996, p_min=0.24, p_max=0.39, p_h_max=0.4602)
+    >>> import trustlab as tl
+    >>> robot = tl.RobotModel(a=0.996, p_min=0.24, p_max=0.39, p_h_max=0.4602)
     >>> round(robot.b, 4)
     0.0013
     """
@@ -284,7 +285,8 @@ class HumanModel:
 
     Examples
     --------
-    >>> human = HumanModel(a=0.9991, beta=0.74, p_min=0.391, p_max=0.4602)
+    >>> import trustlab as tl
+    >>> human = tl.HumanModel(a=0.9991, beta=0.74, p_min=0.391, p_max=0.4602)
     >>> round(float(human.performance(0.74)), 4)
     0.4602
     """

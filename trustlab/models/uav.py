@@ -27,7 +27,8 @@ class TransferFunction:
 
     Examples
     --------
-    >>> TransferFunction(0.985, (0.4952,)).poles().round(4)
+    >>> import trustlab as tl
+    >>> tl.TransferFunction(0.985, (0.4952,)).poles().round(4)
     array([-0.4952+0.j])
     """
 

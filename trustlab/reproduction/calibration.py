@@ -346,7 +346,7 @@ def calibrate(
     Examples
     --------
     >>> import trustlab as tl
-    >>> calibration = tl.calibrate("uav", simulations=1000, seed=0)  # doctest: +SKIP
+    >>> calibration = tl.calibrate("uav", simulations=400, seed=0)  # doctest: +SKIP
     >>> calibration = tl.reproduction.read_calibration("uav", "data/calibration")  # made before
     >>> calibration.table().columns[:6].tolist()
     ['assumption', 'prior_low', 'prior_high', 'median', 'low', 'high']

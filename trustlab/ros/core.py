@@ -277,7 +277,7 @@ class AllocationCore:
     --------
     >>> import trustlab as tl
     >>> model = tl.published_models()["1"]
-    >>> core = AllocationCore(model, "C3", thresholds=(0.02, 0.45))
+    >>> core = tl.ros.AllocationCore(model, "C3", thresholds=(0.02, 0.45))
     >>> core.hear("odometry", 0.0, (0.0, 0.0), now=0.0)
     True
     >>> core.hear("operator", 0.0, (float("nan"), 0.0), now=0.0)

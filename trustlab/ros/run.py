@@ -162,8 +162,8 @@ class RunSettings(Checked):
     Examples
     --------
     >>> import trustlab as tl
-    >>> run = RunSettings(tl.published_models()["1"], "C3", thresholds=(0.02, 0.45))
-    >>> RunSettings.of(run.tables()) == run
+    >>> run = tl.ros.RunSettings(tl.published_models()["1"], "C3", thresholds=(0.02, 0.45))
+    >>> tl.ros.RunSettings.of(run.tables()) == run
     True
     """
 

@@ -150,9 +150,10 @@ class Session(Result):
 
     Examples
     --------
+    >>> import trustlab as tl
     >>> import pandas as pd
     >>> frame = pd.DataFrame({"mode": [1, 1, 0], "p_r": [0.30, 0.31, 0.31]}, index=[0.0, 0.1, 0.2])
-    >>> Session(frame).sample_time
+    >>> tl.Session(frame).sample_time
     0.1
     """
 

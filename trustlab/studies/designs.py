@@ -217,7 +217,7 @@ def latin_square_design(
         Seed of the draws; report it with the design.
     whole_squares : bool
         Whether to refuse a number of participants that leaves a square incomplete; False only
-        warns. The design is then not balanced, but in positions where half a square is filled.
+        warns. The design is then balanced at most in positions, where half a square is filled.
 
     Returns
     -------

@@ -256,8 +256,8 @@ def bayes_factor(
     Returns
     -------
     pandas.DataFrame
-        A row per pair: comparison (a − b), statistic (t), log_bf10 (natural logarithm), bf10, bf01,
-        n. Where bf10 is too large for a number it is infinite; log_bf10 is not.
+        A row per pair: a, b, t, log_bf10 (natural logarithm), bf10, bf01, n. Where bf10 is too
+        large for a number it is infinite; log_bf10 is not.
 
     Raises
     ------
@@ -272,21 +272,18 @@ def bayes_factor(
 
     Examples
     --------
+    >>> import pandas as pd
     >>> import trustlab as tl
-    >>> frame = tl.reconstruct(tl.published_studies()["uav.tlx"], seed=0)
-    >>> factors = tl.bayes_factor(frame, dv="value", within="condition", subject="subject")
-    >>> factors[["comparison", "bf10", "n"]].head(2).round(1)
-      comparison  bf10   n
-    0    C1 − C2   0.5  36
-    1    C1 − C3  93.2  36
+    >>> values = {"subject": [1, 1, 2, 2, 3, 3], "mode": ["A", "B"] * 3}
+    >>> frame = pd.DataFrame(values).assign(error=[1.0, 1.4, 1.1, 1.9, 0.8, 1.0])
+    >>> tl.bayes_factor(frame, "error", "mode", "subject")[["a", "b", "t", "bf10", "n"]].round(3)
+       a  b      t   bf10  n
+    0  A  B -2.646  1.501  3
     """
     scale = between("scale", scale, 1e-6, 1e6)
     result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
-    rows = [
-        (f"{pair.a} − {pair.b}", pair.t, log_jzs_bayes_factor(pair.t, result.n, scale))
-        for pair in _tested(result).itertuples()
-    ]
-    table = pd.DataFrame(rows, columns=["comparison", "statistic", "log_bf10"])
+    table = _tested(result)[["a", "b", "t"]]
+    table = table.assign(log_bf10=[log_jzs_bayes_factor(t, result.n, scale) for t in table["t"]])
     with np.errstate(over="ignore"):
         table["bf10"], table["bf01"] = np.exp(table["log_bf10"]), np.exp(-table["log_bf10"])
     return labelled(table.assign(n=result.n), result.origin, excluded=result.excluded)

@@ -368,9 +368,10 @@ def power_analysis(
 
     Examples
     --------
+    >>> import trustlab as tl
     >>> from trustlab.studies import Simulation, graded_covariance
     >>> quick = Simulation(replicates=1000)
-    >>> power = power_analysis([0.0, 0.3, 0.6], graded_covariance(3), n=20, simulation=quick)
+    >>> power = tl.power_analysis([0.0, 0.3, 0.6], graded_covariance(3), n=20, simulation=quick)
     >>> power.table()["test"].tolist()
     ['none', 'greenhouse-geisser', 'huynh-feldt']
     """

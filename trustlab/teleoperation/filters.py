@@ -65,7 +65,8 @@ def passivity_margin(numerator, denominator) -> PassivityMargin:
 
     Examples
     --------
-    >>> passivity_margin([10.0], [1.0, 10.0]).least_product
+    >>> import trustlab as tl
+    >>> tl.teleoperation.passivity_margin([10.0], [1.0, 10.0]).least_product
     0.25
     """
     top = np.trim_zeros(finite_array("numerator", numerator), "f")

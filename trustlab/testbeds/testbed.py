@@ -525,7 +525,8 @@ def run_condition(
 
     Examples
     --------
-    >>> run = run_condition("C3", participant=2, laps=2, seed=1)
+    >>> import trustlab as tl
+    >>> run = tl.run_condition("C3", participant=2, laps=2, seed=1)
     >>> run.session.metadata.synthetic
     True
     """

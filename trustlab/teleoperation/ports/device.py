@@ -154,7 +154,8 @@ class HapticDevice(Checked):
 
     Examples
     --------
-    >>> device = HapticDevice(mass=0.009, damping=0.55, stiffness=100.0, weight=60.0)
+    >>> import trustlab as tl
+    >>> device = tl.HapticDevice(mass=0.009, damping=0.55, stiffness=100.0, weight=60.0)
     >>> round(device.largest_mass(), 5)
     0.00917
     """
@@ -366,7 +367,8 @@ class PassivityController:
 
     Examples
     --------
-    >>> controller = PassivityController(sample_time=0.01)
+    >>> import trustlab as tl
+    >>> controller = tl.PassivityController(sample_time=0.01)
     >>> controller.step([1.0], [-2.0]).force.tolist()
     [0.0]
     """

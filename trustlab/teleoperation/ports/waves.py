@@ -103,7 +103,8 @@ class Scattering(Checked):
 
     Examples
     --------
-    >>> round(Scattering(b=1.0, alpha_min=0.05, beta_min=0.2, max_delay_rate=0.5).gain, 4)
+    >>> import trustlab as tl
+    >>> round(tl.Scattering(b=1.0, alpha_min=0.05, beta_min=0.2, max_delay_rate=0.5).gain, 4)
     0.7071
     """
 
@@ -293,7 +294,8 @@ class EnergyLedger:
 
     Examples
     --------
-    >>> ledger = EnergyLedger(sample_time=0.01)
+    >>> import trustlab as tl
+    >>> ledger = tl.EnergyLedger(sample_time=0.01)
     >>> ledger.receive(0, [2.0])
     True
     >>> ledger.read().tolist(), ledger.read().tolist()
