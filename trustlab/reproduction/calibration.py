@@ -144,7 +144,7 @@ class Calibration(Result):
         doubt = f"; printed effects lie beyond all, and medians are no estimate of {extrapolated}"
         measures = ", ".join(UNITS.get(name, name) for name in self.measures)
         return (
-            f"{self.settings['simulations']} simulated studies of {self.settings['n']} simulated "
+            f"{len(self.simulations)} simulated studies of {self.settings['n']} simulated "
             f"operators, given {measures}{doubt if extrapolated else ''}"
         )
 
@@ -195,16 +195,19 @@ class Calibration(Result):
             such study comes out of this model of operators, whatever people are like within the
             priors.
         """
-        rows = []
-        for measures in dict.fromkeys([*((name,) for name in self.measures), self.measures]):
-            values, printed = self._beside(measures)
-            scale = np.maximum(values.std(axis=0), 1e-12)
-            tree = KDTree(values / scale)
-            nearest, _ = tree.query(printed / scale)
-            apart = tree.query(tree.data, 2)[0][:, 1]
-            typical, share = np.median(apart), (apart >= nearest).mean()
-            rows.append((" ".join(measures), len(printed), nearest, typical, share))
-        return pd.DataFrame(rows, columns=["measures", "effects", "nearest", "typical", "share"])
+        sets = dict.fromkeys([*((name,) for name in self.measures), self.measures])
+        columns = ["measures", "effects", "nearest", "typical", "share"]
+        return pd.DataFrame(map(self._reach, sets), columns=columns)
+
+    def _reach(self, measures: tuple[str, ...]) -> tuple[str, int, float, float, float]:
+        """Return a row of `reach`."""
+        values, printed = self._beside(measures)
+        scale = np.maximum(values.std(axis=0), 1e-12)
+        tree = KDTree(values / scale)
+        nearest, _ = tree.query(printed / scale)
+        apart = tree.query(tree.data, 2)[0][:, 1]
+        share = (apart >= nearest).mean()
+        return " ".join(measures), len(printed), nearest, float(np.median(apart)), share
 
     def within_reach(self, share: float = 0.05) -> "Calibration":
         """
@@ -224,7 +227,7 @@ class Calibration(Result):
         share = between("share", share, 0.0, 1.0)
         for size in range(len(self.measures), 0, -1):
             candidates = [self.given(*measures) for measures in combinations(self.measures, size)]
-            shares = [-1.0 if c.extrapolated else c.reach()["share"].iloc[-1] for c in candidates]
+            shares = [-1.0 if c.extrapolated else c._reach(c.measures)[-1] for c in candidates]
             if max(shares) >= share:
                 return candidates[int(np.argmax(shares))]
         raise ValueError(
@@ -355,13 +358,14 @@ def calibrate(
     usual = TELEOPERATOR_PRIORS if study in TELEOPERATION else PRIORS
     ranges = checked_priors(usual if priors is None else priors, study)
     simulations = whole_number("simulations", simulations)
+    n = whole_number("n", n, least=3)  # fewer have no spread to test against
     seed = whole_number("seed", seed, least=0)
     _check_enough(simulations, len(effects))
     runs = [{"study": study, "n": n} | draw for draw in prior_draws(ranges, simulations, seed)]
     done = run_campaign(simulated_study, runs, seed=seed, n_jobs=n_jobs, out=out, progress=progress)
     whole = done[~done["failed"].to_numpy(bool)]
     # questionnaires are not answered under all assumptions
-    ids = [id for id in effects["id"] if whole[id].notna().any()]
+    ids = [id for id in effects["id"] if id in whole and whole[id].notna().any()]
     whole = whole.dropna(subset=ids).reset_index(drop=True)
     _check_enough(len(whole), len(ids))
     left_out = simulations - len(whole)

@@ -6,7 +6,7 @@ from decimal import Decimal
 import numpy as np
 import pandas as pd
 
-from trustlab.reproduction.printed import ROUNDINGS, half_unit, printed_decimal, rounds_to
+from trustlab.reproduction.printed import ROUNDINGS, half_unit, printed_decimal
 
 
 def matching_digits(value: float, printed: str) -> int:
@@ -30,8 +30,6 @@ def matching_digits(value: float, printed: str) -> int:
     if not np.isfinite(value):
         return 0
     exact = Decimal(float(value))
-    if target == 0:
-        return int(rounds_to(value, target))
     for digits in range(len(target.as_tuple().digits), 0, -1):
         unit = Decimal(1).scaleb(target.adjusted() - digits + 1)
         if any(exact.quantize(unit, rule) == target.quantize(unit, rule) for rule in ROUNDINGS):
@@ -95,12 +93,12 @@ def compare(
         target = printed_decimal(printed[name])
         text = printed[name].strip()
         error = float((stderr or {}).get(name, np.nan))
+        counts = matching_digits(value, text), len(target.as_tuple().digits)
         verdict = "differs"
-        if np.isfinite(value) and rounds_to(value, target):
+        if counts[0] == counts[1]:
             verdict = "reproduced"
         elif abs(float(value) - float(target)) <= half_unit(text) + 2.0 * error < np.inf:
             verdict = "within 2 s.e."
-        counts = matching_digits(value, text), len(target.as_tuple().digits)
         rows.append((name, float(value), error, text, *counts, verdict))
     counted = "matching_digits", "printed_digits"
     columns = ["quantity", "ours", "stderr", "printed", *counted, "verdict"]

@@ -71,12 +71,6 @@ def printed_interval(text: str, name: str = "a printed value") -> tuple[float, f
     return float(value - half), float(value + half)
 
 
-def rounds_to(value: float, target: Decimal) -> bool:
-    """Return whether a value rounds to a printed number, by either convention for a final 5."""
-    exact = Decimal(float(value))
-    return any(exact.quantize(target, rule) == target for rule in ROUNDINGS)
-
-
 def greatest_sd(mean: tuple[Any, Any], n: Any, scale: Interval) -> Any:
     """
     Return the greatest standard deviation of n values within a scale, with a mean between two ends;
@@ -96,16 +90,14 @@ def possible_f(mean: np.ndarray, sd: np.ndarray, n: float) -> Interval:
     """
     Return bounds of F over boxes (k, 2) of means and standard deviations, at any correlations.
 
-    With T = tr(PS), F = n Σ(m − m̄)²/T.
+    With T = tr(PS), F = n Σ(m − m̄)²/T. An end that is open allows everything.
     """
     largest = np.maximum(sd[:, 1], 0.0)
     # T is least where all correlations are 1, and greatest where the sum of conditions is constant.
     least_error = _least_spread(np.maximum(sd, 0.0))
     most_error = 0.5 * largest.sum() ** 2 if len(sd) == 2 else (largest**2).sum()
     most_effect = (np.abs(mean - mean.mean()).max(axis=1) ** 2).sum()
-    with np.errstate(all="ignore"):  # an end that is open allows everything
-        least = np.divide(n * _least_spread(mean), most_error)
-        return least, np.divide(n * most_effect, least_error)
+    return np.divide(n * _least_spread(mean), most_error), np.divide(n * most_effect, least_error)
 
 
 def _least_spread(boxes: np.ndarray) -> float:

@@ -7,22 +7,10 @@ import pandas as pd
 
 from trustlab.models.checks import one_of
 from trustlab.models.published import (
-    ByName,
-    printed_pilot,
     published_folder,
-    published_models,
-    published_table,
+    published_models as published_models,
+    published_table as published_table,
 )
-
-__all__ = [
-    "ByName",
-    "printed_pilot",
-    "published_facts",
-    "published_folder",
-    "published_models",
-    "published_table",
-    "verdicts",
-]
 
 
 @cache

@@ -247,6 +247,11 @@ def test_a_contradiction_of_a_study_is_a_verdict():
     row = audit({"uav.utilization/sd.C5": "0.250"}).set_index("id").loc["uav.utilization/sd.C5"]
     assert row["verdict"] == "differs"
     assert row["reason"].startswith("Impossible: sd.C5 = 0.250 must lie between 0 and 0.2")
+    # Degrees of freedom of ten conditions follow from each other, but not from five.
+    ids = ["uav.tlx/anova.df1", "uav.tlx/anova.df2"]
+    rows = audit(dict(zip(ids, ("9", "315"), strict=True))).set_index("id").loc[ids]
+    assert rows["verdict"].tolist() == ["differs"] * 2
+    assert rows["reason"].str.contains("belong to 10 conditions").all()
 
 
 def test_a_mean_may_be_printed_as_a_bound():

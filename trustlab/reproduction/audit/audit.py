@@ -71,8 +71,14 @@ def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
     checks = [row.id for row in rows if not row.id.endswith("/duplicate")]
     checked = {start for id in checks for start in _ancestors(id)}
     for id in numbers.keys() - checked:
-        verdict = "differs" if id in conflicts else "not checkable"
-        rows.append(row_about(numbers[id], conflicts.get(id) or why_unchecked(id), verdict))
+        rows.append(row_about(numbers[id], why_unchecked(id), "not checkable"))
+    # What a study contradicts is wrong, though other numbers may agree with it.
+    rows = [
+        row._replace(verdict="differs", reason=conflicts[row.id])
+        if row.id in conflicts and row.verdict != "differs"
+        else row
+        for row in rows
+    ]
     differ = {row.id for row in rows if row.verdict == "differs"}
     order = {id: i for i, id in enumerate(numbers)}
 

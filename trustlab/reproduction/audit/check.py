@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.reproduction.audit.catalogue import PARTICIPANTS, PrintedNumber
+from trustlab.reproduction.audit.catalogue import PARTICIPANTS, PrintedNumber, studies
 
 # Names of printed numbers that formulas write as letters.
 LETTERS = {"ε": "epsilon", "χ2": "chi2", "β": "beta"}
@@ -16,9 +16,6 @@ LETTERS = {"ε": "epsilon", "χ2": "chi2", "β": "beta"}
 VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
 
 INSIDE = 1000  # points inside a box of rounding
-
-# How many conditions the studies of Sections 2.4.2 and 3.9 have.
-CONDITIONS = {"uav": 5, "teleop": 4}
 
 Numbers = Mapping[str, PrintedNumber]
 Span = tuple[float, float, float]
@@ -116,7 +113,7 @@ class Values:
     def __getattr__(self, symbol: str) -> Any:
         """Return the value of a symbol, or the values of the numbers that it stands for."""
         if symbol == "k":
-            return CONDITIONS[self._folder.partition(".")[0]]
+            return studies()[self._folder].k
         named = self._where(symbol)
         if not named:
             raise NotPrintedError(symbol)
@@ -208,16 +205,14 @@ class Relation:
     """
     What other printed numbers say of the number `of`, or of all that match it.
 
-    `suffix` is appended to the id where a number is checked more than once, with a `quantity` of
-    its own. Where `binding` is given, it says why the relation need not hold exactly, and "not
-    checkable" replaces "differs". `beside` names another folder in which symbols stand.
+    `suffix` is appended to the id where a number is checked more than once. Where `binding` is
+    given, it says why the relation need not hold exactly, and "not checkable" replaces "differs".
+    `beside` names another folder in which symbols stand.
     """
 
     of: str
     _: KW_ONLY
-    note: str = ""
     suffix: str = ""
-    quantity: str = ""
     binding: str = ""
     beside: str = ""
 
@@ -230,11 +225,13 @@ class Follows(Formula, Relation):
     `conventions` are other readings of the definition, tried in turn; `explanations` are mistakes
     that could have led to the printed number, named only if they give it. `target` has the ends
     that the result must lie between where they are not those of the printed number, or those of
-    each word that may be printed. In the `note`, {0}, {1} … stand for the value of the formula and
-    those of its conventions.
+    each word that may be printed. `quantity` is what a row with a suffix is about. In the `note`,
+    {0}, {1} … stand for the value of the formula and those of its conventions.
     """
 
     _: KW_ONLY
+    note: str = ""
+    quantity: str = ""
     conventions: tuple[Formula, ...] = ()
     explanations: tuple[Formula, ...] = ()
     target: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None
@@ -323,14 +320,13 @@ class Allows(Formula, Relation):
             if not self.binding:
                 verdict = "differs"
                 reason = f"Impossible: by other printed numbers it is {ends}, however rounded."
-        note = self.note
         if not at_least <= number.value < at_most:
             reason = reason if self.binding else f"Suspicious: {reason}"
             if exact != ends:
                 reason += f" As these are printed, it is {exact}, the upper end excluded."
         return row_about(
             number,
-            f"{reason} {note}",
+            reason,
             verdict,
             (np.nan, low, high),
             formula=self.text,

@@ -73,10 +73,8 @@ def readings(study: PublishedStudy) -> Iterator[Reading]:
         return
     # No ε makes degrees of freedom larger: where too many are printed, none was applied to them.
     plain = {"df1": study.k - 1, "df2": (study.k - 1) * (study.n - 1)}
-    printed = [name for name in plain if name in study.anova]
-    ends = {name: printed_interval(study.anova[name]) for name in printed}
-    too_many = any(ends[name][0] > plain[name] for name in printed)
-    too_many &= not any(ends[name][1] < plain[name] for name in printed)
+    ends = [(*printed_interval(study.anova[df]), plain[df]) for df in plain.keys() & study.anova]
+    too_many = any(low > df for low, _, df in ends) and not any(high < df for _, high, df in ends)
     for reading in (ONLY_P, ONLY_DF, BOTH, NEITHER):
         if reading != usual and not (too_many and reading.df):
             yield reading

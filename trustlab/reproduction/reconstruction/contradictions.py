@@ -55,7 +55,7 @@ def _under(study: PublishedStudy, reading: Reading) -> dict[str, str]:
         with np.errstate(divide="ignore"):
             share = np.clip(known["anova.eta2"], 0.0, 1.0)
             needed = (n - 1) * share / (1.0 - share)
-        conflict = _contradicted(printed["anova.eta2"], _eta2(f_ratio, n), "F gives")
+            conflict = _contradicted(printed["anova.eta2"], _eta2(f_ratio, n), "F gives")
         if not conflict:
             f_ratio = np.clip(f_ratio, *needed)
         wrong |= conflict
@@ -119,7 +119,6 @@ def _impossible(
     factor = np.array([reading.rounded or (1.0 / d if reading.df else 1.0), reading.rounded or 1.0])
     # The least and the greatest value of a statistic.
     limits: dict[str, Any] = {
-        "anova.eta2": (0.0, 1.0),
         "anova.df1": d * factor,
         "anova.df2": d * (n - 1) * factor,
         "epsilon": (1.0 / d, 1.0),
@@ -129,9 +128,9 @@ def _impossible(
     wrong = {}
     for name, s in printed.items():
         test, _, condition = name.partition(".")
-        least, most = limits.get(name, (0.0, 1.0 if s.is_p else math.inf))
+        least, most = limits.get(name, (0.0, 1.0 if s.is_p or name == "anova.eta2" else math.inf))
         where = ""
-        if name in limits and name != "anova.eta2":
+        if name in limits:
             where = f" for {k} conditions, n = {n}{_where_degrees_belong(study)}"
         elif test == "mean":
             (least, most), where = study.scale, " on its scale"
@@ -223,5 +222,4 @@ def _beside_the_cells(
 
 def _eta2(f_ratio: np.ndarray, n: int) -> np.ndarray:
     """Return partial η² = F/(F + n − 1)."""
-    with np.errstate(divide="ignore"):
-        return 1.0 / (1.0 + (n - 1) / f_ratio)
+    return 1.0 / (1.0 + (n - 1) / f_ratio)

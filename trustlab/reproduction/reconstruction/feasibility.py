@@ -191,9 +191,9 @@ def reconstruct(study: PublishedStudy, seed: int = 0, p_adjust: str | None = Non
     of_class("study", study, PublishedStudy)
     candidates = [p_adjust]
     if p_adjust is None:  # first what the fewest numbers contradict; without pairs all are the same
-        pairs = study.pairs or study.significant_without_p
-        candidates = sorted(ADJUSTMENTS, key=lambda each: len(contradictions(study, each)))
-        candidates = candidates if pairs else candidates[:1]
+        candidates = [*ADJUSTMENTS[:1]]
+        if study.pairs or study.significant_without_p:
+            candidates = sorted(ADJUSTMENTS, key=lambda each: len(contradictions(study, each)))
     for candidate in candidates:
         answer = feasibility(study, candidate, seed)
         if answer.rest_feasible:
