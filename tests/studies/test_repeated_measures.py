@@ -179,6 +179,19 @@ def test_data_that_were_not_measured_say_so_everywhere(attrs, said):
     for text in (result._repr_html_(), result.apa(), repr(result), result.plot().get_title()):
         assert said in text
     plt.close("all")
+    rule = {"outside": "sd", "k": 3.0, "to": "limit"}
+    assert tl.winsorize(frame, **COLUMNS, **rule).table().attrs["origin"] == said
+
+
+def test_scores_and_reliability_say_that_data_were_not_measured():
+    items = pd.DataFrame(np.random.default_rng(0).integers(1, 8, (8, 2)), columns=["1", "2"])
+    items.attrs["origin"] = "synthetic data"
+    assert tl.cronbach_alpha(items).origin == "synthetic data"
+    scores = tl.score(items.assign(subject=range(8)), tl.satisfaction_scale(7, ["1", "2"]))
+    assert scores.reliability().attrs["origin"] == "synthetic data"
+    table = scores.table()
+    table["satisfaction_mean"] = 0.0  # of a copy
+    assert scores.table()["satisfaction_mean"].min() > 0.0
 
 
 REAL = {  # file, column: F, W, p of W, Greenhouse–Geisser ε, generalized η² by R 4.2.2, afex 1.2-1

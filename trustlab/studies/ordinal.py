@@ -39,7 +39,7 @@ MOST_CATEGORIES = 30
 # Logits beyond which no data tell a probability from 0 or 1.
 FAR = 15.0
 # SD below which people do not vary.
-SINGULAR = 1e-3
+SINGULAR = 1e-2
 STEP = 1e-3  # of differences
 gauss_hermite = cache(np.polynomial.hermite_e.hermegauss)
 

@@ -210,7 +210,7 @@ class ScaleScores(Result):
 
     def table(self) -> pd.DataFrame:
         """Return the scores."""
-        return self.scores
+        return self.scores.copy()
 
     def reliability(self) -> pd.DataFrame:
         """
@@ -231,7 +231,8 @@ class ScaleScores(Result):
             groups: Any = coded.groupby(level=1, sort=False) if several else [(np.nan, coded)]
             for label, group in groups:
                 rows.append({"score": name, "condition": label} | _alpha(group))
-        return pd.DataFrame(rows).query("items > 1").reset_index(drop=True)
+        table = pd.DataFrame(rows).query("items > 1").reset_index(drop=True)
+        return labelled(table, origin_of(self.scores))
 
 
 def score(
@@ -461,7 +462,7 @@ def cronbach_alpha(items: pd.DataFrame) -> Reliability:
     0.946
     """
     of_class("items", items, pd.DataFrame, "give a column per item")
-    items = _numbers("items", items, items)
+    origin, items = origin_of(items), _numbers("items", items, items)
     row = _alpha(items)
     if np.isnan(row["alpha"]):
         raise ValueError(
@@ -469,7 +470,8 @@ def cronbach_alpha(items: pd.DataFrame) -> Reliability:
             f"got a table of shape {items.shape}"
         )
     rest = {name: _alpha(items.drop(columns=name))["alpha"] for name in items}
-    return Reliability(pd.DataFrame([row]), pd.Series(rest, name="alpha_without"))
+    table = labelled(pd.DataFrame([row]), origin)
+    return Reliability(table, pd.Series(rest, name="alpha_without"))
 
 
 def _alpha(items: pd.DataFrame) -> dict[str, float]:

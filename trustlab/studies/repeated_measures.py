@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import one_of, open_unit
+from trustlab.models.checks import one_of, open_unit, shown
 from trustlab.models.display import axes_or_new
 from trustlab.studies import pairs
 from trustlab.studies.anova import (
@@ -380,7 +380,7 @@ def repeated_measures(
         if people[name].value_counts().min() < 2:
             raise ValueError(
                 f"between: every group of column {name!r}, {listed}, needs two complete "
-                f"participants, got {people[name].tolist()}"
+                f"participants, got {shown(people[name].value_counts().to_dict())}"
             )
     for name in names_of(covariates):
         x = numbers_of(people[name], "covariates")

@@ -136,7 +136,7 @@ def report(
     dv, within, subject : hashable
         Columns, as for `repeated_measures`.
     **options : object
-        Passed on to `repeated_measures`: between, missing, order, correction, alpha.
+        Passed on to `repeated_measures`: between, covariates, missing, order, correction, alpha.
 
     Returns
     -------
@@ -155,15 +155,14 @@ def report(
     >>> study.result.n, study.result.k
     (36, 5)
     """
-    given = {"within": within, "subject": subject, **options}
-    if isinstance(frame, Mapping):
-        given["dv"], dv = dv, None
+    several = isinstance(frame, Mapping)
+    given = {"dv": dv, "within": within, "subject": subject, **options}
     unused = [name for name, value in given.items() if value is not None]
-    if dv is None and unused:
+    if unused and (several or dv is None):
         raise ValueError(
             f"{', '.join(unused)}: a result is printed as it is; these are for a table with dv="
         )
-    if isinstance(frame, Mapping):
+    if several:
         return _side_by_side(frame, of_class("thresholds", thresholds or {}, dict))
     if thresholds is not None:
         raise ValueError("thresholds are printed beside fits by name: give frame={name: fit, …}")

@@ -9,7 +9,15 @@ from scipy import stats
 
 from trustlab.models.checks import of_class, one_of, positive
 from trustlab.models.display import Result
-from trustlab.studies.table import column_of, label_column, levels_of, numbers_of, one_row_a_cell
+from trustlab.studies.table import (
+    column_of,
+    label_column,
+    labelled,
+    levels_of,
+    numbers_of,
+    one_row_a_cell,
+    origin_of,
+)
 
 # Which values count as outlying: words for the rule and its k; the middle, or two, and the spread.
 _RULES: dict[str, tuple[str, Callable]] = {
@@ -57,7 +65,7 @@ class Winsorized(Result):
 
     def table(self) -> pd.DataFrame:
         """Return the values changed: subject, condition, old, new."""
-        return self.changes
+        return self.changes.copy()
 
     def apa(self) -> str:
         """
@@ -163,7 +171,7 @@ def winsorize(
     result[dv] = scores
     return Winsorized(
         data=result,
-        changes=pd.concat(changes, ignore_index=True),
+        changes=labelled(pd.concat(changes, ignore_index=True), origin_of(data)),
         limits=pd.DataFrame(limits, columns=["condition", "n", "low", "high", "changed"]),
         rule=f"values outside {words.format(f'{k:g}')} by condition, {_TARGETS[to]}",
     )
