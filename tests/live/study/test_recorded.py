@@ -143,6 +143,11 @@ def test_the_export_holds_what_the_tables_do_and_says_what_it_means(rehearsed, t
     assert "The robot is deceptive." in set(items["words"])
 
 
+def test_a_folder_that_is_not_there_is_named(rehearsed, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"none/data\.zip'$"):
+        rehearsed.export(tmp_path / "none" / "data.zip")
+
+
 def test_words_are_no_formulas_in_a_spreadsheet(tmp_path):
     table = pd.DataFrame(
         {"text": ["=1+1", "@SUM(A1)", "-a", "fine"], "answer": [-1.0, 2.0, 3.0, 4.0]}

@@ -107,7 +107,7 @@ function showForm(now) {
       button.disabled = true;
       const answer = await ask("answers", { page: now.page, answers: read(form, now.items) });
       button.disabled = false;
-      if (answer.status === 200 || answer.status === 409) next();
+      if ([200, 404, 409].includes(answer.status)) next(); // or done before, or nobody's any more
       else complain(filled(words.not_taken, { error: answer.error }));
     });
   });
