@@ -21,7 +21,7 @@ function buttons(who) {
     button(
       `Restart “${title}”`,
       () =>
-        confirm(`${participant}: drive “${title}” again, and ask again about it? What was driven is kept.`) &&
+        confirm(`${participant}: drive “${title}” and its questions again? All is kept.`) &&
         act({ participant, action: "restart", page }),
     );
   button("Note", () => {
