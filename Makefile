@@ -106,9 +106,9 @@ robot: $(VENV)/.stamp tests/ros/.venv/.stamp  ## drive a simulated robot over RO
 lab: $(VENV)/.stamp  ## JupyterLab in notebooks/
 	$(BIN)/jupyter lab --notebook-dir=notebooks
 
-study: $(VENV)/.stamp  ## serve the live study in a folder: make study DIR=mystudy
+study: $(VENV)/.stamp  ## serve the live study in a folder: make study DIR=mystudy (PARAMS="--enrol" passes options on)
 	@[ -n "$(DIR)" ] || { echo "which study? make study DIR=mystudy"; exit 1; }
-	$(BIN)/python -m trustlab.live.study "$(DIR)"
+	$(BIN)/python -m trustlab.live.study "$(DIR)" $(PARAMS)
 
 data: $(VENV)/.stamp  ## write data/sessions/ again from its seeds
 	$(BIN)/python data/sessions/make_sessions.py

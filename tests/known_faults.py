@@ -68,7 +68,6 @@ KNOWN = {
         "folder": "foreign errors",
         "conditions": "foreign errors",
         "participants": "foreign errors",
-        "pages": "foreign errors",
     },
     "PublishedStudy": {
         "conditions": "foreign errors",

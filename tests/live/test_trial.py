@@ -85,6 +85,15 @@ def test_a_disk_that_is_full_takes_half_a_line_back(tmp_path):
     assert read_log(path, "a").entries == [[0], [1]]
 
 
+def test_only_logs_that_nothing_else_tells_of_may_be_moved_away(tmp_path):
+    path = tmp_path / "rows.jsonl"
+    path.write_text("x\n")
+    with pytest.raises(LogError, match=r"restore it from a copy, or move it away$"):
+        Log(path)
+    with pytest.raises(LogError, match=r"restore it from a copy$"):
+        Log(path, "of a study")
+
+
 def test_the_name_of_a_new_log_is_on_the_disk(tmp_path, monkeypatch):
     synced = []
     monkeypatch.setattr("trustlab.live.log.sync_folder", synced.append)

@@ -193,8 +193,8 @@ def check_thresholds(tsc: TscModel, pair: tuple[float, float]) -> tuple[float, f
     return lower, upper
 
 
-def threshold_pair(name: str, pair: tuple[float, float]) -> tuple[float, float]:
-    """Return two thresholds, lower and upper, as floats in [−1, 1], where TSC lies by (2.2)."""
+def threshold_pair(name: str, pair: tuple[float, float], most: float = 1.0) -> tuple[float, float]:
+    """Return two thresholds, lower and upper, as floats in ± most: TSC lies in ± 1 by (2.2)."""
     try:
         lower, upper = pair
     except (TypeError, ValueError):
@@ -204,4 +204,4 @@ def threshold_pair(name: str, pair: tuple[float, float]) -> tuple[float, float]:
     low = f"the lower {name}"
     high = f"the upper {name}"
     lower, upper = in_order(low, lower, high, upper)
-    return between(low, lower, -1.0, 1.0), between(high, upper, -1.0, 1.0)
+    return between(low, lower, -most, most), between(high, upper, -most, most)

@@ -1,5 +1,6 @@
 """Conditions of live drives: those of the dissertation, and a lab's own."""
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -59,7 +60,8 @@ class LiveCondition:
     forced : bool
         Whether a suggestion is carried out if the person has not accepted it before.
     notice : float
-        How long after the suggestion that happens [s]; 3 in C3 and C5.
+        How long after the suggestion that happens [s]; 3 in C3 and C5. Suggestions count as
+        followed within 15 s.
     thresholds : (float, float), optional
         Of a rule of one's own: the person is to drive where the sum is at or below the first, the
         robot where it is at or above the second; between them the mode stays.
@@ -106,7 +108,10 @@ class LiveCondition:
                     "thresholds go with weights of signals; those of TSC are each participant's own"
                 )
         not_negative("notice", self.notice)
-        if flag("forced", self.forced) and self.suggestions == "none":
+        if not flag("forced", self.forced):
+            if self.notice != NOTICE:
+                raise ValueError("notice has no effect without forced=True; leave it out")
+        elif self.suggestions == "none":
             raise ValueError(
                 'forced=True needs suggestions="tsc" or "performance": there is nothing to follow'
             )
@@ -120,7 +125,8 @@ class LiveCondition:
             raise ValueError("a rule needs a weight that is not zero")
         if self.thresholds is None:
             raise ValueError("weights of signals need thresholds=(lower, upper)")
-        self.__dict__["thresholds"] = threshold_pair("threshold", self.thresholds)
+        # A sum lies in no limits of its own.
+        self.__dict__["thresholds"] = threshold_pair("threshold", self.thresholds, math.inf)
 
     @property
     def scheme(self) -> int:

@@ -111,7 +111,8 @@ def identified(content: dict, session: Session) -> dict:
     try:
         fit = fit_holding(session, model_of(content["stand_in"]["model"]))
     except ValueError as error:
-        return stand_in(content, f"no model: {str(error)[:160].rpartition(' ')[0]} …")
+        # What stands behind it is what an analyst can do.
+        return stand_in(content, f"no model: {str(error).partition(';')[0]}")
     model: Any = fit.model
     try:
         with warnings.catch_warnings():  # what it warns of is recorded

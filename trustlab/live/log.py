@@ -144,7 +144,9 @@ class Log:
         self.link = self.links[-1]
         if reading.fault and not self.torn:
             self.close()
-            raise LogError(f"{path}: {reading.fault}; restore it from a copy, or move it away")
+            # A study goes by what its events say of its logs: none can be done without.
+            away = "" if origin else ", or move it away"
+            raise LogError(f"{path}: {reading.fault}; restore it from a copy{away}")
         os.ftruncate(self.handle, reading.size)
         if new:
             sync_folder(path.parent)

@@ -34,7 +34,8 @@ def write_atomically(path: str | os.PathLike, content: bytes | str, mode: int = 
             file.flush()
             os.fsync(file.fileno())
         os.replace(partial, path)
-    except OSError:
+    except OSError as error:
+        error.filename = str(path)  # the name that the user knows
         with contextlib.suppress(OSError):
             partial.unlink()
         raise

@@ -67,7 +67,7 @@ def next_page(page, after=-1):
     until(
         page,
         f"self.study && self.study.page !== null && self.study.page > {after} && "
-        "!!document.querySelector('h2')",
+        "!!document.querySelector('h1')",
     )
     return page.evaluate("[self.study.page, self.study.kind]")
 
@@ -120,7 +120,7 @@ def test_three_people_at_once_from_consent_to_report(make_plan, browser):
         while people and time.monotonic() < end:
             for code, page in list(people.items()):
                 number, kind = page.evaluate("[self.study?.page ?? -1, self.study?.kind]")
-                if number > where[code] and page.evaluate("!!document.querySelector('h2')"):
+                if number > where[code] and page.evaluate("!!document.querySelector('h1')"):
                     where[code] = number
                     shown = page.inner_text("#where")
                     if kind == "end":
@@ -195,9 +195,7 @@ def test_a_person_leads_a_team(tmp_path, browser):
             if kind == "drive":
                 said.append(lead(page))
                 if len(said) == 2:
-                    page.reload()  # the run goes on behind the last command
-                    next_page(page, number - 1)
-                    go_on(page, "drive")
+                    go_on_after_reload(page, number)  # behind the last command
                     lead(page)
                 until(page, "!document.querySelector('#drive')")
             number, kind = next_page(page, number)
@@ -236,6 +234,46 @@ def test_a_closed_tab_loses_nothing_and_another_browser_goes_on(served, browser)
     already = on_disk(plan)
     until(other, f"self.study.rows > {already + 5}")
     assert [pause["why"] for pause in record(plan).pauses].count("begun again") >= 1
+
+
+def go_on_after_reload(page, number):
+    page.reload()
+    next_page(page, number - 1)
+    go_on(page, "drive")
+
+
+def test_a_reload_switches_no_mode(served, browser):
+    """Oracle: the commands on the disk, before the reload and behind it."""
+    page = driving(browser.new_context(), served.links["P01"])
+    page.keyboard.press("Space")
+    until(page, "document.querySelector('.mode').textContent === 'AUTONOMOUS'")
+    go_on_after_reload(page, 1)
+    before = on_disk(served.plan)
+    assert wait_for_commands(served.plan, before + 10) >= before + 10
+    assert {command[2] for command in record(served.plan).commands[before:]} == {0}
+
+
+def test_a_reload_takes_back_no_share(tmp_path, browser):
+    """Oracle: four turns of the wheel, each a twentieth."""
+    plan = tl.LiveStudy(tmp_path / "s", ["M", "MMI"], 2, task="teleoperation")
+    code = next(code for code, order in plan.orders.items() if order[0] == "MMI")
+    with StudyServer(plan) as server:
+        number = advance(server.participant(code), "drive")
+        page = opened(browser.new_context(), server.links()[code])
+        next_page(page)
+        go_on(page, "drive")
+        until(page, f"{K} > 4")
+        page.mouse.move(300, 300)
+        for _ in range(4):
+            page.mouse.wheel(0, 100)
+        until(page, "document.body.innerText.includes('80 %')")
+        until(page, f"{K} > {page.evaluate(K) + 4}")
+        go_on_after_reload(page, number)
+        until(page, f"{K} > {page.evaluate(K) + 4}")
+        commands = record(plan, code, f"{number:02d}-drive").commands
+        assert commands[0][2] == 1.0
+        assert commands[-1][2] == pytest.approx(0.8)
+        assert page.faults == []
 
 
 @pytest.mark.parametrize("seconds", [2.0, pytest.param(5.0, marks=pytest.mark.long)])
@@ -337,7 +375,7 @@ def test_what_the_experimenter_does_reaches_the_page(served, browser):
     until(experimenter, "document.body.innerText.includes('<script>')")
     assert experimenter.evaluate("window.fired === undefined && document.images.length === 0")
     served.act("end")
-    until(page, "document.querySelector('h2')?.textContent === 'Thank you'")
+    until(page, "document.querySelector('h1')?.textContent === 'Thank you'")
     assert page.faults == []
 
 
@@ -351,7 +389,7 @@ def test_a_study_in_german_and_a_participant_who_declines(make_plan, browser):
         questions = []
         page.on("dialog", lambda dialog: (questions.append(dialog.message), dialog.accept()))
         page.click("text=Ich nehme nicht teil")
-        until(page, "document.querySelector('h2')?.textContent.includes('beendet')")
+        until(page, "document.querySelector('h1')?.textContent.includes('beendet')")
         assert "Möchten Sie nicht teilnehmen?" in questions[0]
         assert page.locator("#withdraw button").count() == 0
         assert page.faults == []
@@ -359,7 +397,7 @@ def test_a_study_in_german_and_a_participant_who_declines(make_plan, browser):
         assert driver.inner_text(".tl-drive .mode") == "VON HAND"
         driver.on("dialog", lambda dialog: dialog.accept())
         driver.click("text=Teilnahme beenden")
-        until(driver, "document.querySelector('h2')?.textContent.includes('beendet')")
+        until(driver, "document.querySelector('h1')?.textContent.includes('beendet')")
     assert tl.read_live_study(plan.folder).participants["withdrawn"].tolist() == [True, True, False]
 
 

@@ -119,7 +119,7 @@ def test_a_study_fixes_a_least_delay_and_marks_who_saw_later(make_team_plan):
     plan.rehearse(0)
     who = Participant(plan, "P01")
     steps = [step.index for step in who.steps if step.page.name == "drive"]
-    for page, late in zip(steps, (6, 9), strict=True):
+    for page, late in zip(reversed(steps), (9, 6), strict=True):
         who.experimenter_restart({"page": page})
         about = {"page": page, "window": "a"}
         assert who.drive(about | {"begin": True})["config"]["late"] == 0.3
@@ -148,6 +148,13 @@ def test_a_restarted_drive_comes_back_and_what_follows_stays_done():
     assert progress_of(events).attempt(1) == 1
     assert progress_of([*events, done(1)]).page(COUNT) == 3
     assert progress_of([*events, {"kind": "restart", "page": 1}]).attempt(1) == 2
+
+
+def test_what_was_said_of_a_drive_that_is_driven_again_is_asked_again():
+    events = [done(1, name="drive", position=1), done(2, name="trust", position=1)]
+    events += [done(3, name="drive", position=2), {"kind": "restart", "page": 1}]
+    events.insert(0, done(0, name="own", position=1))  # it came before the drive
+    assert set(progress_of(events).done) == {0, 3}
 
 
 @given(st.lists(st.integers(0, COUNT - 2), max_size=12), st.randoms())

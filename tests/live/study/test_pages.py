@@ -4,6 +4,7 @@ and lists written out.
 """
 
 import re
+import tomllib
 from dataclasses import asdict
 
 import pytest
@@ -106,9 +107,20 @@ def test_answers_that_a_page_takes(toml):
 
 
 def test_a_page_that_belongs_to_no_drive_has_no_number(toml):
-    text = '[consent]\ntitle = "Part {number}"\n\n[drive]\ntitle = "{number}"'
-    titles = [step.page.title for step in steps_of(read_pages(files=toml(text)), ["C1"])]
-    assert (titles[0], titles[3]) == ("Part {number}", "1")
+    text = '[consent]\ntitle = "Part {number}"\n\n[drive]\ntitle = "{number}"\n'
+    text += 'text = "{number} of {count}"\n[trust]\nscored = "likert"\n'
+    text += 'items = [{name = "a", text = "Did drive {number} please you?"}]'
+    pages = {step.page.name: step.page for step in steps_of(read_pages(files=toml(text)), ["C1"])}
+    assert (pages["consent"].title, pages["drive"].title) == ("Part {number}", "1")
+    assert pages["drive"].text == "1 of 1"
+    assert pages["trust"].items[0].text == "Did drive 1 please you?"
+
+
+def test_pages_behind_the_same_one_keep_their_order(toml):
+    one = "title = 'x'\ntext = 'y'\n"
+    text = f"[a]\nafter='consent'\n{one}[b]\nafter='consent'\n{one}[c]\nafter='a'\n{one}"
+    names = [page.name for page in read_pages(files=toml(text))]
+    assert names[:5] == ["consent", "a", "b", "c", "training"]
 
 
 @pytest.mark.parametrize(
@@ -117,7 +129,26 @@ def test_a_page_that_belongs_to_no_drive_has_no_number(toml):
         ("[a", "is no TOML file"),
         ("[mine]\nafter='drive'\ntitel='x'", "pages.toml, .* got 'titel'; did you mean 'title'"),
         ("[pause]\nskip=true\ntitel='x'", "pages.toml, .*'low'.*'skip', got 'titel'"),
-        ("[trust]\nitems=[{name='a', text='t', chioces=[]}]", "'choices'.* got 'chioces'"),
+        (
+            "[trust]\nitems=[{name='a', text='t', kind='choice', chioces=[]}]",
+            "a key must be one of .*'choices'.* got 'chioces'",
+        ),
+        (
+            "[trust]\nitems=[{name='a', text='t', choices=['x']}]",
+            "a key must be one of .*'reversed', 'expected', got 'choices'",
+        ),
+        (
+            "[drive]\nitems=[{name='a', text='t'}]",
+            "a key of .*pages.toml, .* must be one of .*, got 'items'",
+        ),
+        ("[debriefing]\ngroup='told'", "a key of .*pages.toml, .* must be one of .*, got 'group'"),
+        ("[identification]\nsection='each'", "section must be one of 'start'"),
+        ("[mine]\nafter='drive'\nskip=true\ntitle='x'\ntext='y'", "got 'skip'"),
+        ("[pause]\nskip='false'", r"skip of .*pages.toml, \[pause\] must be True or False"),
+        (
+            "[trust]\nitems=[{name='trust', text='t'}]",
+            "its items must be deceptive, .* score others as likert",
+        ),
         ("[trust]\ngroup=1", r"pages.toml, \[trust\]: group must be of type str"),
         ("[trust]\nsection='sometimes'", "section must be one of 'start', 'each', 'end'"),
         ("[drive]\nsection='start'", "section must be one of 'each'"),
@@ -162,6 +193,13 @@ def test_every_language_has_the_same_messages_pages_and_items():
         read_pages("fr")
 
 
+def test_items_that_are_reversed_otherwise_than_printed_are_refused(toml):
+    words = tomllib.loads(LANGUAGES["en"].read_text())["nasa_tlx"]["items"]
+    items = [f"{{name = '{item['name']}', text = 'x', reversed = true}}" for item in words]
+    with pytest.raises(ValueError, match="with reversed left out; score others as likert"):
+        read_pages(files=toml(f"[nasa_tlx]\nitems = [{', '.join(items)}]"))
+
+
 CHECKED = """
 [about]
 after = "consent"
@@ -179,7 +217,7 @@ def test_words_may_be_required_and_attention_checked(toml):
     page = next(page for page in read_pages(files=toml(CHECKED)) if page.name == "about")
     answers = {"why": "so", "attention": 5, "a": 1}
     assert page.check(answers) == answers
-    with pytest.raises(AnswerError, match="why: the answer must be 1 to 1000 characters"):
+    with pytest.raises(AnswerError, match=r"^Why\?$"):  # its text, in the study's language
         page.check(answers | {"why": " "})
     with pytest.raises(ValueError, match=r"item 'attention': expected = 9 is no answer to it"):
         read_pages(files=toml(CHECKED.replace("expected = 3", "expected = 9")))

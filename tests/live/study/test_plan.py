@@ -50,6 +50,7 @@ def test_tokens_are_nowhere_in_the_study(make_plan):
         (["p01", "P01"], "two codes are the same"),
         (["-rf", "b"], "begins with a letter"),
         (["x" * 300, "b"], "at most 40"),
+        ("A7", "no list of codes, must be a whole number, from 1 to 999, got 'A7'"),
     ],
 )
 def test_codes_that_make_no_folder_are_refused(tmp_path, codes, said):
@@ -69,13 +70,14 @@ def test_folders_that_hold_no_study(tmp_path):
 def test_the_command_line_plans_and_complains(tmp_path, monkeypatch, capsys):
     served = []
 
-    def serve(plan, port):
-        served.append(port)
+    def serve(plan, port, url, enrol):
+        served.append((port, url, enrol))
 
     monkeypatch.setattr(planning.LiveStudy, "serve", serve)
     folder = str(tmp_path / "mystudy")
-    assert main([folder]) == main([folder, "--port", "9000"]) == 0
-    assert served == [8765, 9000]
+    proxy = "https://lab.test"
+    assert main([folder]) == main([folder, "--port", "9000", "--url", proxy, "--enrol"]) == 0
+    assert served == [(8765, "", False), (9000, proxy, True)]
     assert len(tl.LiveStudy.open(folder).orders) == 20
     assert main([str(tmp_path)]) == 2
     said = capsys.readouterr()
@@ -124,6 +126,49 @@ def test_a_plan_that_cannot_be_served_is_not_frozen(tmp_path):
     with pytest.raises(ValueError, match="guidance must be one of"):
         tl.LiveStudy(tmp_path / "s", participants=5, task="teleoperation", guidance="nonsense")
     assert not (tmp_path / "s").exists()
+
+
+def test_arguments_are_named(make_plan, tmp_path):
+    for more, said in (
+        ({"lap": 2}, "a setting must be one of 'laps', .* got 'lap'; did you mean 'laps'"),
+        ({"seed": -1, "participants": {"a": 2, "b": 2}}, "seed must be a whole number, 0 or more"),
+        ({"pages": 5}, "pages must be a path, got 5"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            make_plan(**more)
+    (tmp_path / "mystudy").touch()
+    with pytest.raises(ValueError, match="mystudy is a file; a study needs a folder of its own"):
+        make_plan()
+
+
+def test_a_participant_may_be_called_experimenter(make_plan):
+    """The experimenter's link was theirs."""
+    with StudyServer(make_plan(participants=["experimenter", "B"])) as server:
+        assert server.links()["experimenter"][-22:] != server.experimenter[-22:]
+
+
+def test_a_rehearsal_that_was_interrupted_begins_again(make_team_plan, monkeypatch):
+    """A notebook keeps the traceback, and with it all that the call held."""
+    plan = make_team_plan()
+    with monkeypatch.context() as patched:
+        patched.setattr("trustlab.live.study.participant.Trial.take", interrupt)
+        with pytest.raises(KeyboardInterrupt) as kept:
+            plan.rehearse()
+    plan.rehearse()
+    assert kept.tb
+    assert tl.read_live_study(plan.folder).participants["complete"].all()
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt
+
+
+def test_conditions_of_ones_own_have_no_bounds_and_no_idle_notice():
+    """A weighted sum leaves [−1, 1]."""
+    rule = tl.LiveCondition("sum", {"tsc": 2.0}, thresholds=(0.5, 1.5))
+    assert rule.thresholds == (0.5, 1.5)
+    with pytest.raises(ValueError, match="notice has no effect without forced=True"):
+        tl.LiveCondition("a", suggestions="tsc", notice=10.0)
 
 
 def drive_rows(config, switched):

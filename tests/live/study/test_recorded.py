@@ -12,9 +12,10 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from tests.live.cases import entries, events
+from tests.live.cases import advance, entries, events
 from trustlab.live.fit import FROM_PART, FROM_STAND_IN, identified
 from trustlab.live.hands import HumanHand
+from trustlab.live.study.participant import Participant
 from trustlab.live.study.recorded import write_export
 from trustlab.live.task import scripted_commands
 from trustlab.live.tasks.ground_robot import TASK, drive_config, model_of
@@ -128,6 +129,8 @@ def test_the_export_holds_what_the_tables_do_and_says_what_it_means(rehearsed, t
     words = archive.read("README.txt").decode()
     assert "scripted hands, no person took part" in words
     assert "  p_r [m/s]: " in words
+    samples = words.partition("samples.csv")[2]
+    assert "  p_r [m/s]: robot performance P_r as measured" in samples
     assert not [line for line in words.splitlines() if line.endswith(": ")], "all have a meaning"
     measures = pd.read_parquet(io.BytesIO(archive.read("measures.parquet")))
     pd.testing.assert_frame_equal(measures, rehearsed.measures, check_dtype=False)
@@ -138,6 +141,11 @@ def test_the_export_holds_what_the_tables_do_and_says_what_it_means(rehearsed, t
     np.testing.assert_array_equal(drive["p_r"], session["p_r"])
     items = pd.read_csv(io.BytesIO(archive.read("items.csv")))
     assert "The robot is deceptive." in set(items["words"])
+
+
+def test_a_folder_that_is_not_there_is_named(rehearsed, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"none/data\.zip'$"):
+        rehearsed.export(tmp_path / "none" / "data.zip")
 
 
 def test_words_are_no_formulas_in_a_spreadsheet(tmp_path):
@@ -168,6 +176,7 @@ high = 10
 """
 ONE_ITEM = """
 [trust]
+scored = "likert"
 items = [{name = "trust", text = "How much do you trust it?", low = 0, high = 10}]
 
 [why]
@@ -195,6 +204,73 @@ def test_questionnaires_on_other_scales_are_scored(make_team_plan, tmp_path, pag
     assert study.export().exists()
 
 
+CHECKED = """
+[own]
+after = "consent"
+title = "You"
+text = "About you."
+scored = "likert"
+items = [
+    {name = "a", text = "A"},
+    {name = "b", text = "B"},
+    {name = "attention", text = "Mark 5 here.", expected = 5},
+]
+"""
+
+
+def test_checks_of_attention_do_not_count_and_scores_before_drives_are_in_a_table(
+    make_team_plan, tmp_path
+):
+    """Oracle: the mean of 1 and 1."""
+    (tmp_path / "pages.toml").write_text(CHECKED)
+    plan = make_team_plan(pages=tmp_path / "pages.toml")
+    who = Participant(plan, "P01")
+    who.answers({"page": 0, "answers": {"consent": True}})
+    who.answers({"page": 1, "answers": {"a": 1, "b": 1, "attention": 5}})
+    study = tl.read_live_study(plan.folder)
+    assert study.participants["own_mean"].tolist() == pytest.approx([1.0, np.nan], nan_ok=True)
+
+
+def test_two_pages_of_one_questionnaire_have_scores_of_their_own(make_team_plan, tmp_path):
+    """Oracle: the answers. What columns mean in the task, and of which table, is said as well."""
+    items = "".join(f'{{name = "{name}", text = "x"}},' for name in tl.TRUST_CHECKLIST.items)
+    head = '[trust_team]\nafter = "trust"\ntitle = "x"\ntext = "y"\nscored = "trust"\n'
+    (tmp_path / "pages.toml").write_text(f"{head}items = [{items}]\n")
+    plan = make_team_plan(pages=tmp_path / "pages.toml")
+    plan.rehearse(0)
+    study = tl.read_live_study(plan.folder)
+    answers = study.answers().set_index(["participant", "condition", "page"])
+    for _, row in study.measures.iterrows():
+        for page, prefix in (("trust", ""), ("trust_team", "trust_team_")):
+            own = answers.loc[(row["participant"], row["condition"], page)].set_index("item")
+            distrust = own.loc[list(tl.TRUST_CHECKLIST.reversed), "answer"].mean()
+            assert row[f"{prefix}distrust_subscale"] == pytest.approx(distrust)
+    words = zipfile.ZipFile(study.export()).read("README.txt").decode()
+    measures, samples = words.partition("measures.csv")[2].split("samples.csv")
+    for line in (
+        "path_error [m]: mean distance of the farthest robot from the goal",
+        "switches [1]: changes of leader",
+        "trust_mean: mean score of the questionnaire trust",
+        "trust_team_distrust_subscale: score of the subscale trust_team_distrust",
+    ):
+        assert f"  {line}\n" in measures
+    assert "  path_error [m]: deviation e from the path or target (a distance)\n" in samples
+
+
+def test_a_drive_that_was_begun_twice_is_one(make_team_plan):
+    """The server went away between the start and the first command. Oracle: two drives each."""
+    plan = make_team_plan(4)
+    who = Participant(plan, "P01", scripted=True)
+    who.drive({"page": advance(who, "drive"), "window": "a", "begin": True})
+    who.close()
+    plan.rehearse(0)
+    study = tl.read_live_study(plan.folder)
+    kinds = [event["kind"] for event in events(plan, "P01")]
+    assert kinds.count("begin") == 3
+    assert len(study.measures) == len(study.sessions()) == 8
+    assert study.analysis("force").n == 4
+
+
 PRACTICE = """
 [training]
 section = "each"
@@ -211,6 +287,8 @@ def test_practice_before_each_drive_is_no_data(make_team_plan, tmp_path):
     study = tl.read_live_study(plan.folder)
     assert len(study.measures) == len(study.sessions()) == 4
     assert len(study.complete()) == 4
+    logs = (plan.folder / "P01").glob("*-training.jsonl")
+    assert [entries(log)[0]["settings"]["condition"] for log in logs] == ["training"] * 2
 
 
 # what is changed afterwards
@@ -310,6 +388,15 @@ def test_a_damaged_file_of_one_stops_nobodys_table(finished):
     path.write_bytes(before)
 
 
+def test_a_drive_behind_a_fault_is_not_said_to_be_undriven(finished):
+    path = finished / "P01" / "events.jsonl"
+    before = path.read_bytes()
+    path.write_bytes(before.replace(b'"begin"', b'"began"', 1))
+    reasons = tl.read_live_study(finished).exclusions()["reason"]
+    path.write_bytes(before)
+    assert reasons.str.contains("events.jsonl, line").tolist() == [True, True]
+
+
 # the identification drive
 # --------------------------------------------------------------------------------------------------
 
@@ -324,7 +411,8 @@ def test_a_drive_too_short_falls_back_to_the_plan_and_says_so(make_plan):
     plan = make_plan()
     found = identified(plan.content, drive(2, (1, 30.0), (0, 30.0)))
     assert found["source"] == FROM_STAND_IN
-    assert found["why"].startswith("no model: ")
+    assert found["why"].startswith("no model: 60 s of this drive determine no level")
+    assert found["why"].endswith("another model's values")
     assert (found["model"], found["thresholds"]) == tuple(plan.content["stand_in"].values())
     assert model_of(found["model"]) == tl.published_models()["2"]
 

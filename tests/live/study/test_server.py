@@ -3,6 +3,7 @@ What a server must refuse, and what it must not lose; asked over sockets, withou
 the files on the disk.
 """
 
+import gc
 import json
 import os
 import re
@@ -59,7 +60,7 @@ def test_forged_origins_change_nothing(served, client, origin):
 
 def test_wrong_tokens_lead_nowhere(served, client):
     tokens = read_tokens(served.plan.folder)
-    token, experimenter = tokens["P01"], tokens["experimenter"]
+    token, experimenter = tokens["P01"], tokens[".experimenter"]
     last = "A" if token[-1] != "A" else "B"
     near = [token[:-1] + last, token.swapcase(), token[:-1], token + "x"]
     wrong = [f"p/{each}" for each in ("x" * 22, *near, experimenter, "P01", "")]
@@ -166,7 +167,7 @@ def test_words_that_no_file_can_hold_are_refused(served, client):
     refused = client(f"{url}/answers", body)
     assert (refused.status, refused.json["error"]) == (
         400,
-        "remark: the answer must be 0 to 1000 characters that files can hold",
+        "Is there anything you would like to say about this drive? (You may leave this empty.)",
     )
     note = b'{"participant": "P01", "action": "note", "text": "\\ud800"}'
     assert client(f"{served.server.experimenter}/act", note).status == 400
@@ -300,7 +301,7 @@ def test_events_that_were_lost_are_not_gone_on_behind(make_plan, serving, client
     with serving(plan) as served:
         others = served.links["P02"].rpartition("/")[0]
         answer = client(f"{others}/{link.rpartition('/')[2]}/state")
-        assert (answer.status, "ask the experimenter" in answer.json["error"]) == (409, True)
+        assert (answer.status, "cannot go on here" in answer.json["error"]) == (409, True)
         assert served.state("P02").status == 200  # the others go on
         overview = served.overview()
         assert "events.jsonl: its last lines are missing; restore it" in overview["trouble"]
@@ -340,6 +341,45 @@ def test_only_a_proxy_leads_people_here_from_other_machines(make_plan, client):
         assert client(f"{here}/state", host="lab.test").status == 200
         body = {"host": "lab.test", "Origin": "https://lab.test"}
         assert client(f"{here}/answers", CONSENT, **body).status == 200
+
+
+@pytest.mark.parametrize("url", ["https://Lab.Test/", "https://lab.test:443"])
+def test_addresses_are_those_that_browsers_send(make_plan, url):
+    assert StudyServer(make_plan(), url=url).url == "https://lab.test"
+    for wrong in ("ftp://lab.test", "https://me:pw@lab.test", "https://lab.test?x=1", 5):
+        with pytest.raises(ValueError, match="url must be like https://study"):
+            StudyServer(make_plan(), url=wrong)
+
+
+def test_all_that_people_see_is_in_the_language_of_the_study(make_plan, serving, client):
+    plan = make_plan(participants=2, language="de")
+    with serving(plan, enrol=True) as served:
+        served.consent("P01")
+        (plan.folder / "P02" / "events.jsonl").write_text('["0", {}]\n')
+        join = served.overview()["join"]
+        page = client(join).content.decode()
+        assert '<html lang="de">' in page
+        assert "<title>Eine Studie</title>" in page
+        assert "Studie öffnen" in page
+        lost = client(f"{served.base}/p/{'x' * 22}", Accept="text/html").content.decode()
+        assert "Dieser Link führt zu keiner Studie" in lost
+        assert client(join, {}).status == 200
+        assert client(join, {}).json["error"].startswith("Alle Plätze dieser Studie sind vergeben")
+    with serving(plan) as served:
+        link = served.links["P01"].replace(*(read_tokens(plan.folder)[c] for c in ("P01", "P02")))
+        error = client(f"{link}/state").json["error"]
+        assert error.startswith("Die Studie kann hier nicht weitergehen")
+
+
+def test_a_page_that_is_left_while_it_is_answered_is_no_mistake(page, monkeypatch, caplog):
+    sync = os.fsync
+    monkeypatch.setattr(os, "fsync", lambda handle: (time.sleep(0.1), sync(handle)))
+    for _ in range(5):
+        page.socket.send(json.dumps({"window": "a", "note": "x"}))
+    page.socket.sock.close()
+    time.sleep(1.5)
+    gc.collect()
+    assert "WebSocketClosedError" not in caplog.text
 
 
 # the experimenter
@@ -402,6 +442,10 @@ def test_people_decline_and_withdraw(served, page):
     assert page.drive(5, 5) == {"done": True}
     assert record(served.plan).end == "the participation ended"
     assert served.state().json["kind"] == "end"
+    again = served.act("restart", page=1)
+    assert (again.status, "can be begun again" in again.json["error"]) == (400, True)
+    person = served.act("end").json["people"][0]
+    assert (person["drives"], person["rows"]) == ([], None)
     ends = [event for event in events(served.plan) if event["kind"] == "end"]
     assert [event["source"] for event in ends] == ["participant"]
     table = tl.read_live_study(served.plan.folder).participants

@@ -21,7 +21,7 @@ function buttons(who) {
     button(
       `Restart “${title}”`,
       () =>
-        confirm(`${participant}: drive “${title}” again? What was driven is kept.`) &&
+        confirm(`${participant}: drive “${title}” and its questions again? All is kept.`) &&
         act({ participant, action: "restart", page }),
     );
   button("Note", () => {
@@ -41,7 +41,7 @@ function pace(who) {
   const parts = [];
   if (who.rows !== null) parts.push(`${who.rows} rows`);
   if (who.delay) parts.push(`pictures ${who.delay.toFixed(2)} s late`);
-  if (who.pauses) parts.push(`${who.pauses} pauses`);
+  if (who.pauses) parts.push(`pauses: ${who.pauses}`);
   return parts.join(", ");
 }
 

@@ -5,12 +5,8 @@ import { play } from "./play.js";
 
 const base = location.pathname.replace(/\/$/, "");
 const main = document.querySelector("main");
-// What pages say, in the study's language; the server tells with the first page.
-let words = {
-  no_connection: "No connection. This page goes on by itself when the connection is back.",
-  fault: "The study's computer has made a mistake (error {status}). This page tries again.",
-  disk: "The study's computer cannot save at the moment. This page goes on by itself.",
-};
+// What pages say, in the study's language.
+const words = JSON.parse(document.body.dataset.words);
 // For the experimenter's eyes, and for tests
 const status = (self.study = { page: null, kind: null, rows: 0 });
 
@@ -98,7 +94,7 @@ function showForm(now) {
   const form = element(
     "form",
     {},
-    element("h2", { textContent: now.title }),
+    element("h1", { textContent: now.title }),
     ...paragraphs(now.text),
     ...now.items.map(field),
   );
@@ -111,7 +107,7 @@ function showForm(now) {
       button.disabled = true;
       const answer = await ask("answers", { page: now.page, answers: read(form, now.items) });
       button.disabled = false;
-      if (answer.status === 200 || answer.status === 409) next();
+      if ([200, 404, 409].includes(answer.status)) next(); // or done before, or nobody's any more
       else complain(filled(words.not_taken, { error: answer.error }));
     });
   });
@@ -119,7 +115,7 @@ function showForm(now) {
 
 async function showDrive(now) {
   const go = element("button", { textContent: words.start });
-  main.replaceChildren(element("h2", { textContent: now.title }), ...paragraphs(now.text), go);
+  main.replaceChildren(element("h1", { textContent: now.title }), ...paragraphs(now.text), go);
   await new Promise((ok) => go.addEventListener("click", ok, { once: true }));
   const root = element("div", { id: "drive" }),
     url = `${location.origin.replace("http", "ws")}${base}/drive/${now.page}`;
@@ -160,15 +156,9 @@ function offerWithdrawal(now) {
 async function run() {
   for (;;) {
     const now = await ask("state");
+    if (now.status === 404) return location.reload(); // the link no longer leads here
     if (now.status !== 200)
-      return main.replaceChildren(
-        element("p", {
-          textContent:
-            "This link leads to no study. Please ask the person who runs the study for yours.",
-        }),
-      );
-    words = now.words;
-    document.documentElement.lang = now.language;
+      return main.replaceChildren(element("p", { textContent: now.error }));
     Object.assign(status, { page: now.page, kind: now.kind, rows: 0 });
     const banner = document.getElementById("rehearsal");
     banner.hidden = !now.rehearsal;
@@ -179,7 +169,7 @@ async function run() {
       : filled(words.where, { code: now.code, page: now.page + 1, pages: now.pages });
     offerWithdrawal(now);
     if (ended) {
-      main.replaceChildren(element("h2", { textContent: now.title }), ...paragraphs(now.text));
+      main.replaceChildren(element("h1", { textContent: now.title }), ...paragraphs(now.text));
       const textContent = filled(words.completion, { completion: now.completion });
       if (now.completion) main.append(element("p", { id: "completion", textContent }));
       return;
@@ -189,6 +179,4 @@ async function run() {
   }
 }
 
-run().catch((error) =>
-  complain(filled(words.stopped ?? "This page cannot go on ({error}).", { error: error.message })),
-);
+run().catch((error) => complain(filled(words.stopped, { error: error.message })));

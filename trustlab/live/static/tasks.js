@@ -15,7 +15,7 @@ function groundRobot(root, config, signal, note) {
     toggle = () => (hands.toggles += 1),
     { camera, gauges, panel, away } = furnish(root, config, toggle, signal),
     { max_speed, max_turn_rate } = config.robot;
-  let wanted = config.task.first_mode,
+  let wanted = null, // after a reload, what was wanted before
     shown = null;
   away.textContent = config.words.waiting;
 
@@ -33,6 +33,7 @@ function groundRobot(root, config, signal, note) {
       return [Math.max(forward, 0) * max_speed, left * max_turn_rate, wanted];
     },
     heard({ k, row }) {
+      wanted ??= row ? row[0] : config.task.first_mode;
       if (!row) return;
       gauges.add(row);
       // A wish is not kept where it cannot be met now: before the window is full, or without the
@@ -88,7 +89,7 @@ class Squares {
 function teleoperation(root, config, signal) {
   const squares = new Squares(root, config, signal, config.words.fly_hint),
     line = element("div");
-  let share = config.allocates ? 1 : -1;
+  let share = null;
   squares.below.append(line);
   const turn = (event) => {
     event.preventDefault();
@@ -103,7 +104,7 @@ function teleoperation(root, config, signal) {
       if (config.allocates && trigger > 0.02) share = 1 - trigger;
       return [...squares.stick.read(), share];
     },
-    heard() {},
+    heard: (newest) => (share ??= newest.share), // after a reload, what it was before
     draw(picture, near, newest) {
       drawPicture(squares.view, config, picture);
       squares.draw(near.device, near.guide, newest.k);

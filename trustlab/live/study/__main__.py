@@ -19,6 +19,8 @@ def main(words: list[str] | None = None) -> int:
         help="the study's folder; without a study in it, C1 to C5 with 20 participants are planned",
     )
     parser.add_argument("--port", type=int, default=8765, help="port (default: 8765)")
+    parser.add_argument("--url", default="", help="address of a proxy, as for LiveStudy.serve")
+    parser.add_argument("--enrol", action="store_true", help="let people join by one link")
     options = parser.parse_args(words)
     try:
         new = not (Path(options.folder) / PLAN).exists()
@@ -28,7 +30,7 @@ def main(words: list[str] | None = None) -> int:
                 "A new study: C1 to C5, 20 participants, seed 0. For another one, plan it with "
                 "trustlab.LiveStudy first."
             )
-        plan.serve(port=options.port)
+        plan.serve(port=options.port, url=options.url, enrol=options.enrol)
     except (ModuleNotFoundError, ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -3,14 +3,16 @@ The pages of a study: their words and items from TOML files, their order for a p
 which answers are accepted.
 """
 
+import json
 import re
 import tomllib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from trustlab.models.checks import one_of, shown
+from trustlab.models.checks import flag, one_of, shown
+from trustlab.studies.questionnaires import NASA_TLX, TRUST_CHECKLIST, Questionnaire
 
 FOLDER = Path(__file__).parents[1] / "words"
 LANGUAGES = {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
@@ -20,17 +22,28 @@ LONGEST_ANSWER = 1000
 """Characters that a participant may write in one answer."""
 
 SECTIONS = ("start", "each", "end")
-FIXED = {"drive": ("each",), "debriefing": ("end",)}
-"""Where these two pages must be."""
+FIXED = {"identification": ("start",), "drive": ("each",), "debriefing": ("end",)}
+"""Where these pages must be; they are for all groups."""
 
-ITEMS = ("scale", "choice", "text", "check")
-SCORED = ("nasa_tlx", "trust", "satisfaction", "likert")
+NEEDED = ("drive", "debriefing")
+"""What no study can leave out."""
+
+PRINTED = {"nasa_tlx": NASA_TLX, "trust": TRUST_CHECKLIST}
+SCORED = (*PRINTED, "satisfaction", "likert")
 SCALE = ("low", "high", "step", "left", "right")
-"""What a page may give for all its items."""
+"""What a page may give for all its scales."""
 
-OWN = ("title", "text", "section", "scored", "items", "group")
-KEYS = (*OWN, *SCALE, "before", "after", "skip")
-"""What the table of a page may hold; its kind is no lab's to choose."""
+ITEMS = {
+    "scale": (*SCALE, "reversed", "expected"),
+    "choice": ("choices", "expected"),
+    "text": ("required", "expected"),
+    "check": (),
+}
+"""The kinds of items, and what each may have besides its name and text."""
+
+ASKED = ("scored", "items", *SCALE)
+KEYS = ("title", "text", "section", "before", "after", "skip")
+"""What the tables of forms, and of all pages, may hold; the kind is no lab's to choose."""
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
@@ -143,8 +156,25 @@ class StudyPage:
 
     @property
     def scales(self) -> list[Item]:
-        """The items that are scales."""
-        return [item for item in self.items if item.kind == "scale"]
+        """The items that are scored: scales that do not check attention."""
+        return [item for item in self.items if item.kind == "scale" and item.expected is None]
+
+    @property
+    def questionnaire(self) -> Questionnaire:
+        """What the page asks, on the scale of its items; a page of a lab's own keeps its name."""
+        items = self.scales
+        scale = {name: getattr(items[0], name) for name in ("low", "high", "step")}
+        names, turned = (
+            [item.name for item in items],
+            [item.name for item in items if item.reversed],
+        )
+        printed = PRINTED.get(self.scored)
+        if printed is None or set(names) != set(printed.items):
+            return Questionnaire(self.name, names, reversed=turned, **scale)
+        if self.name != self.scored:
+            parts = {f"{self.name}_{name}": part for name, part in printed.subscales.items()}
+            printed = replace(printed, name=self.name, subscales=parts)
+        return replace(printed, **scale)
 
     def check(self, answers: Any) -> dict:
         """
@@ -154,7 +184,10 @@ class StudyPage:
         if not isinstance(answers, dict) or set(answers) - {item.name for item in self.items}:
             raise AnswerError("the answers must be names of items with values")
         for item in self.items:
-            item.check(answers.get(item.name))
+            try:
+                item.check(answers.get(item.name))
+            except AnswerError:  # people know an item by its text, in their language
+                raise AnswerError(item.text) from None
         return {item.name: answers[item.name] for item in self.items}
 
     @classmethod
@@ -194,11 +227,10 @@ def steps_of(pages: Sequence[StudyPage], order: Iterable[str], group: str = "") 
             others = page.section != section or page.group not in ("", group)
             if others or (page.name == "pause" and position == len(order)):
                 continue
-            title = page.title
             if position is not None:
-                title = title.replace("{number}", str(position))
-                title = title.replace("{count}", str(len(order)))
-            steps.append(Step(replace(page, title=title), len(steps), condition, position))
+                text = json.dumps(asdict(page)).replace("{number}", str(position))
+                page = StudyPage.read(json.loads(text.replace("{count}", str(len(order)))))
+            steps.append(Step(page, len(steps), condition, position))
     return steps
 
 
@@ -225,14 +257,17 @@ def read_pages(language: str = "en", files: Iterable[Path] = ()) -> list[StudyPa
     tables = _content(LANGUAGES[one_of("language", language, LANGUAGES)])
     del tables["words"]
     places = {name: f"[{name}]" for name in tables}
+    behind: dict[str, str] = {}  # the page that was put behind each
     for path in files:
         for name, table in _content(path).items():
             where = places[name] = f"{path}, [{name}]"
             if not isinstance(table, dict) or not NAME.fullmatch(name):
                 raise ValueError(f"{where} must be a table, [name], in small letters, digits and _")
+            group = () if name in FIXED else ("group",)
+            asked = () if "kind" in tables.get(name, ()) else ASKED
             for key in table:
-                one_of(f"a key of {where}", key, KEYS)
-            tables = _changed(tables, name, table, where)
+                one_of(f"a key of {where}", key, (*group, *asked, *KEYS))
+            tables = _changed(tables, name, table, where, behind)
     return [_page(places[name], name, table) for name, table in tables.items()]
 
 
@@ -246,16 +281,19 @@ def _content(path: Path) -> dict:
         raise ValueError(f"{path} is no TOML file in UTF-8: {error}") from None
 
 
-def _changed(tables: dict[str, dict], name: str, table: dict, where: str) -> dict[str, dict]:
+def _changed(
+    tables: dict[str, dict], name: str, table: dict, where: str, behind: dict[str, str]
+) -> dict[str, dict]:
     """Return pages of which a file's table changes one, leaves one out, or is a new one."""
-    before, after, skip = (table.pop(key, "") for key in ("before", "after", "skip"))
+    before, after = table.pop("before", ""), table.pop("after", "")
     anchor = before or after
     if name in tables:
         if anchor:
             raise ValueError(
                 f"{where} is there already, and keeps its place; leave out before and after"
             )
-        if skip and name in FIXED:
+        skip = flag(f"skip of {where}", table.pop("skip", False))
+        if skip and name in NEEDED:
             raise ValueError(f"{where} cannot be left out of a study")
         changed = tables | {name: tables[name] | table}
         return {key: page for key, page in changed.items() if key != name or not skip}
@@ -264,10 +302,14 @@ def _changed(tables: dict[str, dict], name: str, table: dict, where: str) -> dic
         raise ValueError(
             f"{where} must say before or after which page it stands: one of {', '.join(tables)}"
         )
+    table["section"] = tables[anchor]["section"]
+    while after and behind.get(anchor) in tables:  # those behind the same page keep their order
+        anchor = behind[anchor]
+    if after:
+        behind[anchor] = name
     order = list(tables)
     order.insert(order.index(anchor) + bool(after), name)
-    tables = {**tables, name: {**table, "section": tables[anchor]["section"]}}
-    return {key: tables[key] for key in order}
+    return {key: table if key == name else tables[key] for key in order}
 
 
 def _page(where: str, name: str, table: dict) -> StudyPage:
@@ -278,22 +320,32 @@ def _page(where: str, name: str, table: dict) -> StudyPage:
         own["items"] = [_item(where, item, common) for item in own["items"]]
     if isinstance(own.get("text"), str):
         own["text"] = re.sub(r"(?<!\n)\n(?!\n)", " ", own["text"].strip())
-    return _made(where, StudyPage, own)
+    page = _made(where, StudyPage, own, StudyPage.__annotations__)
+    if printed := PRINTED.get(page.scored):
+        turned = {item.name for item in page.scales if item.reversed}
+        if not page.questionnaire.source or turned not in (set(), {*printed.reversed}):
+            raise ValueError(
+                f"{where} is scored as {printed.source}: its items must be "
+                f"{', '.join(printed.items)}, with reversed left out; score others as likert"
+            )
+    return page
 
 
 def _item(where: str, table: Any, common: dict) -> Item:
     """Return an item from its table; what its page gives holds where it gives nothing itself."""
     if not isinstance(table, dict):
         raise ValueError(f"{where}: an item is a table, got {shown(table)}")
-    return _made(f"{where}, item {shown(table.get('name'))}", Item, common | table)
+    where = f"{where}, item {shown(table.get('name'))}"
+    kind = one_of(f"{where}: kind", table.get("kind", "scale"), ITEMS)
+    table = common | table if kind == "scale" else table
+    return _made(where, Item, table, ("name", "text", "kind", *ITEMS[kind]))
 
 
-def _made(where: str, kind: type, table: dict) -> Any:
+def _made(where: str, kind: type, table: dict, keys: Iterable[str]) -> Any:
     """Return a page or an item from its fields by name; errors say where it stands."""
-    types = kind.__annotations__
     try:
         for key, value in table.items():
-            wanted = types[one_of("a key", key, types)]
+            wanted = kind.__annotations__[one_of("a key", key, keys)]
             if wanted not in (Any, type(value)):
                 raise ValueError(f"{key} must be of type {wanted.__name__}, got {shown(value)}")
         return kind(**table)

@@ -96,8 +96,14 @@ def progress_of(events: Iterable[Mapping]) -> Progress:
                 now.done[event["page"]] = dict(event)
             case "restart":
                 page = event["page"]
-                now.done.pop(page, None)
+                old = now.done.pop(page, {})
                 now.attempts[page] = now.attempt(page) + 1
+                if old.get("name") == "drive":  # what was said of it is asked again
+                    now.done = {
+                        number: done
+                        for number, done in now.done.items()
+                        if number < page or done["position"] != old["position"]
+                    }
             case "model":
                 now.model = dict(event)
             case "enrol":
@@ -142,7 +148,8 @@ class Attempt(NamedTuple):
         the condition, and where the participant's model comes from.
         """
         known = model or stand_in(self.plan.content, "no identification drive")
-        condition = self.step.condition or self.step.page.name
+        name = self.step.page.name
+        condition = str(self.step.condition) if name == "drive" else name
         config = drive_of(self.plan.content, condition, self.seed, model)
         return config, {"condition": condition, "source": known["source"], "why": known["why"]}
 
@@ -261,18 +268,15 @@ class Participant:
         self.last_request = time.time()
         self._identify()
         progress, step = self.progress, self.step
-        content = self.plan.content
         shown = {name: getattr(step.page, name) for name in ("kind", "title", "text")}
         if progress.withdrawn:
-            words = content["words"]
+            words = self.plan.content["words"]
             shown |= {"title": words["withdrawn_title"], "text": words["withdrawn"]}
         return {
             "code": self.code,
             "page": step.index,
             "pages": len(self.steps) - 1,
             "rehearsal": self.plan.rehearsal,
-            "language": content["language"],
-            "words": content["words"],
             **shown,
             "completion": progress.completion if step.page.kind == "end" else "",
             "items": [
@@ -292,8 +296,7 @@ class Participant:
 
     def withdraw(self, body: dict) -> dict:
         """End the participation at the participant's own wish: before it begins, or later."""
-        if not self.progress.ended:
-            self._end("participant")
+        self._end("participant")
         return self.state()
 
     def drive(self, message: dict) -> dict:
@@ -355,9 +358,15 @@ class Participant:
             self.add("model", page=step.index, attempt=attempt.number, **model)
 
     def _end(self, source: str) -> None:
-        self.add("end", source=source, page=self.step.index)
+        if not self.progress.ended:
+            self.add("end", source=source, page=self.step.index)
+        self._finish("the participation ended")
+
+    def _finish(self, why: str) -> None:
+        """End the run of a drive, if there is one."""
         if self.trial is not None:
-            self.trial.finish("the participation ended")
+            self.trial.finish(why)
+            self.trial = None
 
     def enrol(self, body: dict) -> bool:
         """Take this place for somebody who came by the link for joining, if it is free."""
@@ -370,7 +379,9 @@ class Participant:
     # ----------------------------------------------------------------------------------------------
 
     def _begun(self) -> list[Attempt]:
-        """Return the current attempt of each drive that was begun."""
+        """Return the current attempt of each drive that was begun and can be begun again."""
+        if self.progress.ended:
+            return []
         drives = [self.attempt(step) for step in self.steps if step.page.kind == "drive"]
         return [attempt for attempt in drives if attempt.path.exists()]
 
@@ -379,12 +390,11 @@ class Participant:
         page = body.get("page")
         attempt = next((each for each in self._begun() if each.step.index == page), None)
         if attempt is None:
-            raise AnswerError("this page is no drive that was begun")
+            raise AnswerError("this page is no drive that can be begun again")
         # First of all: a drive that is over and not begun again would count.
         self.add("restart", page=attempt.step.index, attempt=attempt.number)
         if self.trial is not None and self.trial.log.path == attempt.path:
-            self.trial.finish("the experimenter let it be driven again")
-            self.trial = None
+            self._finish("the experimenter let it be driven again")
 
     def experimenter_note(self, body: dict) -> None:
         """Add a note of the experimenter's."""
@@ -441,7 +451,6 @@ def rehearse(participant: Participant, rng: np.random.Generator) -> None:
         participant.drive(about | {"begin": True})
         while not participant.drive(about | {"commands": [None] * SENT_AT_ONCE})["done"]:
             pass
-    participant.close()
 
 
 def _answer(item: Item, rng: np.random.Generator) -> Any:

@@ -10,7 +10,9 @@ import secrets
 import shutil
 import threading
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, replace
+from numbers import Number
 from pathlib import Path
 from typing import Any, Self
 
@@ -30,18 +32,25 @@ from trustlab.live.study.pages import (
 from trustlab.live.task import LiveTask, task_named
 from trustlab.live.tasks.ground_robot import warn_if_too_short
 from trustlab.live.trial import made_by
-from trustlab.models.checks import flag, of_class, one_of, shown, spawned, whole_number
+from trustlab.models.checks import (
+    flag,
+    of_class,
+    one_of,
+    shown,
+    spawned,
+    whole_number,
+    whole_seed,
+)
 from trustlab.models.digest import digest
 from trustlab.models.display import as_html
-from trustlab.models.files import write_atomically
+from trustlab.models.files import path_of, write_atomically
 from trustlab.studies.designs import latin_square_design
 
 FORMAT = 5
 PLAN = "study.json"
 EVENTS = "events"
-EXPERIMENTER = "experimenter"
-JOIN = ".join"
-"""The name of the link for joining; no code has a full stop."""
+EXPERIMENTER, JOIN = ".experimenter", ".join"
+"""The names of the experimenter's link and of that for joining; no code has a full stop."""
 
 TOMBSTONE = ".deleted"
 """The suffix of an empty file, which says that a participant was deleted."""
@@ -126,6 +135,8 @@ class LiveStudy:
     ):
         protocol = task_named(task)
         kind = protocol.settings
+        for name in settings:
+            one_of("a setting", name, vars(kind()))
         drives = replace(kind() if drives is None else of_class("drives", drives, kind), **settings)
         conditions = protocol.conditions if conditions is None else conditions
         personal = {c.name: asdict(c) for c in conditions if isinstance(c, LiveCondition)}
@@ -140,9 +151,8 @@ class LiveStudy:
             design = latin_square_design(names, codes, seed, whole_squares=whole_squares)
             orders |= {code: list(order) for code, *order in design.table().itertuples()}
         group_of = {code: group for group, codes in groups.items() for code in codes if group}
-        if isinstance(pages, str | os.PathLike):
-            pages = [pages]
-        files = [*task_pages(task, language), *map(Path, pages)]
+        given = pages if isinstance(pages, list | tuple) else [pages]
+        files = [*task_pages(task, language), *(path_of("pages", path) for path in given)]
         content: dict = {
             "format": FORMAT,
             "task": task,
@@ -159,7 +169,7 @@ class LiveStudy:
             "pages": [asdict(page) for page in read_pages(language, files)],
         }
         for page in content["pages"]:
-            one_of(f"group of the page {page['name']}", page["group"], ("", *groups))
+            one_of(f"group of the page {page['name']}", page["group"], ("", *filter(None, groups)))
         # What cannot be driven is refused now.
         for name in (*protocol.practice, *names):
             config = drive_of(content, name)
@@ -210,6 +220,8 @@ class LiveStudy:
                     "change once it is made"
                 )
             return
+        if self.folder.is_file():
+            raise ValueError(f"{self.folder} is a file; a study needs a folder of its own")
         self.folder.mkdir(parents=True, exist_ok=True)
         if {path.name for path in self.folder.iterdir()} - set(self.orders):
             raise ValueError(
@@ -333,9 +345,11 @@ class LiveStudy:
             )
         from trustlab.live.study.participant import Participant, rehearse
 
-        people = [Participant(self, code, scripted=True) for code in self.present()]
-        for participant, child in zip(people, spawned(seed, len(people)), strict=True):
-            rehearse(participant, np.random.default_rng(child))
+        codes = self.present()
+        for code, child in zip(codes, spawned(seed, len(codes)), strict=True):
+            # A notebook keeps what an interrupted call held: logs must not stay open with it.
+            with closing(Participant(self, code, scripted=True)) as participant:
+                rehearse(participant, np.random.default_rng(child))
 
     def table(self) -> pd.DataFrame:
         """Return everybody's order: a row per participant, a column per position."""
@@ -368,9 +382,10 @@ def _groups(
         raise ValueError(f"groups must be two or more with names, got {shown(participants)}")
     parts = {group: _codes(value) for group, value in participants.items()}
     codes = [code for part in parts.values() for code in part]
-    if all(isinstance(value, int) for value in participants.values()):
+    if all(isinstance(value, Number) for value in participants.values()):
         codes = _codes(len(codes))
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(codes),)))
+        entropy = np.random.SeedSequence(whole_seed(seed), spawn_key=(len(codes),))
+        rng = np.random.default_rng(entropy)
         codes = rng.permutation(codes).tolist()
     dealt = iter(_codes(codes))  # refuses those that are the same
     return {group: sorted(next(dealt) for _ in part) for group, part in parts.items()}
@@ -378,8 +393,9 @@ def _groups(
 
 def _codes(participants: int | Sequence[str]) -> list[str]:
     """Return the participants' codes: what they are given, or P01, P02 and so on."""
-    if isinstance(participants, int):
-        count = whole_number("participants", participants, most=999)
+    if isinstance(participants, str | int | Number | None):
+        name = "participants, where they are no list of codes,"
+        count = whole_number(name, participants, most=999)
         return [f"P{number:02d}" for number in range(1, count + 1)]
     codes = list(participants)
     for code in codes:

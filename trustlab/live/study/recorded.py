@@ -8,7 +8,6 @@ import io
 import os
 import zipfile
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -28,13 +27,7 @@ from trustlab.models.files import write_atomically
 from trustlab.sessions.session import Session
 from trustlab.sessions.vocabulary import VOCABULARY
 from trustlab.studies.order_effects import OrderEffects, order_effects
-from trustlab.studies.questionnaires import (
-    NASA_TLX,
-    TRUST_CHECKLIST,
-    Questionnaire,
-    ScaleScores,
-    score,
-)
+from trustlab.studies.questionnaires import ScaleScores, score
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 
 KEYS = ["participant", "position", "condition"]
@@ -113,19 +106,6 @@ def participant_record(plan: LiveStudy, code: str, link: str | None) -> Particip
     return ParticipantRecord(reading.entries, progress_of(reading.entries), fault)
 
 
-def recorded_drives(plan: LiveStudy, code: str, record: ParticipantRecord) -> list[RecordedDrive]:
-    """Return every attempt at a drive that a participant's events tell of."""
-    drives, steps = [], plan.steps(code)
-    for event in record.events:
-        if event["kind"] == "begin":
-            attempt = Attempt(plan, code, steps[event["page"]], event["attempt"])
-            end = record.progress.done.get(event["page"], {})
-            finished = end.get("attempt") == attempt.number
-            log, fault = attempt.read(end["link"] if finished else None)
-            drives.append(RecordedDrive(attempt, finished, log, fault))
-    return drives
-
-
 def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     """
     Read what a live study has recorded, finished or not; nothing in the folder changes.
@@ -191,8 +171,20 @@ class RecordedStudy:
 
     @cached_property
     def _drives(self) -> list[RecordedDrive]:
-        people = self.records.items()
-        return [drive for item in people for drive in recorded_drives(self.plan, *item)]
+        """
+        Every attempt at a drive that events tell of; one that was begun again before its first
+        command is the same.
+        """
+        drives = []
+        for code, record in self.records.items():
+            steps, begun = self.plan.steps(code), [e for e in record.events if e["kind"] == "begin"]
+            for page, number in dict.fromkeys((e["page"], e["attempt"]) for e in begun):
+                attempt = Attempt(self.plan, code, steps[page], number)
+                end = record.progress.done.get(page, {})
+                finished = end.get("attempt") == number
+                log, fault = attempt.read(end["link"] if finished else None)
+                drives.append(RecordedDrive(attempt, finished, log, fault))
+        return drives
 
     @cached_property
     def _conditions(self) -> list[RecordedDrive]:
@@ -249,7 +241,7 @@ class RecordedStudy:
         pages_done, pages, drives (finished, of those under a condition), complete, ended,
         withdrawn, completion (code of who enrolled), attention (checks of attention that were
         answered otherwise than expected), model (where model and thresholds come from), why (they
-        stand in), restarts, notes.
+        stand in), restarts, notes; scores of the questionnaires that belong to no drive.
         """
         rows = []
         for code, record in self.records.items():
@@ -274,7 +266,15 @@ class RecordedStudy:
                     "notes": "; ".join(note["text"] for note in now.notes if "text" in note),
                 }
             )
-        return self._labelled(pd.DataFrame(rows))
+        return self._labelled(self._with_scores(pd.DataFrame(rows), "participant"))
+
+    def _with_scores(self, table: pd.DataFrame, *keys: str) -> pd.DataFrame:
+        """Join the scores of those questionnaires that are answered once for each of the keys."""
+        for scored in self.scores().values():
+            if ("condition" in scored.scores) == ("condition" in keys):
+                columns = scored.scores.filter(regex="_(raw|mean|subscale)$").columns
+                table = table.merge(scored.scores[[*keys, *columns]], how="left", on=[*keys])
+        return table
 
     def _labelled(self, frame: pd.DataFrame, group: bool = True) -> pd.DataFrame:
         """Add groups, if there are any; say where numbers come from, if not from people."""
@@ -324,7 +324,7 @@ class RecordedStudy:
                 keys = ["participant", condition] if condition else ["participant"]
                 wide = rows.pivot_table("answer", keys, "item", sort=False).reset_index()
                 wide.attrs = answers.attrs
-                form = _questionnaire(page)
+                form = page.questionnaire
                 scores[page.name] = score(wide, form, subject="participant", condition=condition)
         return scores
 
@@ -360,12 +360,7 @@ class RecordedStudy:
             )
         if not rows:
             return pd.DataFrame(columns=[*KEYS, "verified"])
-        table, keys = pd.DataFrame(rows), ["participant", "condition"]
-        for scored in self.scores().values():
-            if "condition" in scored.scores:
-                columns = scored.scores.filter(regex="_(raw|mean|subscale)$").columns
-                table = table.merge(scored.scores[[*keys, *columns]], how="left", on=keys)
-        return self._labelled(table)
+        return self._labelled(self._with_scores(pd.DataFrame(rows), "participant", "condition"))
 
     def exclusions(self) -> pd.DataFrame:
         """
@@ -382,9 +377,10 @@ class RecordedStudy:
             (drive.attempt.code, drive.attempt.step.condition): drive.fault
             for drive in self._conditions
         }
+        undriven = "not driven to its end"
         rows = [
-            (code, condition, reasons.get((code, condition), "not driven to its end"))
-            for code in self.records
+            (code, condition, reasons.get((code, condition), record.fault or undriven))
+            for code, record in self.records.items()
             for condition in self.plan.orders[code]
         ]
         return _with_reason(rows, ["participant", "condition", "reason"])
@@ -528,7 +524,8 @@ class RecordedStudy:
             "faults": self.faults(),
         }
         target = self.plan.folder / "report-data.zip" if path is None else Path(path)
-        write_export(target, tables, f"Live study {self.plan.folder.name}. {self.summary()}")
+        about = f"Live study {self.plan.folder.name}. {self.summary()}"
+        write_export(target, tables, about, self.task.name)
         return target
 
     def table(self) -> pd.DataFrame:
@@ -555,24 +552,16 @@ def _inattentive(step: Step, answers: dict) -> int:
     )
 
 
-def _questionnaire(page: StudyPage) -> Questionnaire:
-    """Return what a page asks, on the scale of its items."""
-    items = page.scales
-    scale = {name: getattr(items[0], name) for name in ("low", "high", "step")}
-    names, turned = [item.name for item in items], [item.name for item in items if item.reversed]
-    printed = {"trust": TRUST_CHECKLIST, "nasa_tlx": NASA_TLX}.get(page.scored)
-    if printed is not None and set(names) == set(printed.items):
-        return replace(printed, **scale)
-    return Questionnaire(page.name, names, reversed=turned, **scale)
-
-
 # files
 # --------------------------------------------------------------------------------------------------
 
 
-def write_export(path: Path, tables: Mapping[str, pd.DataFrame], about: str) -> None:
+def write_export(
+    path: Path, tables: Mapping[str, pd.DataFrame], about: str, task: str = ""
+) -> None:
     """
-    Write tables by name, and a README with what is said about them as a whole, as a zip.
+    Write tables by name, and a README with what is said about them as a whole, and what columns
+    mean in a task, as a zip.
 
     Entries carry no time of writing, so that the same study gives the same bytes. In a CSV file an
     apostrophe stands before words that a spreadsheet would take for a formula.
@@ -582,7 +571,7 @@ def write_export(path: Path, tables: Mapping[str, pd.DataFrame], about: str) -> 
         words = table.select_dtypes(["object", "string"]).map(_harmless)
         files[f"{name}.csv"] = table.assign(**words).to_csv(index=False)
         files[f"{name}.parquet"] = table.to_parquet(index=False)
-    files["README.txt"] = _readme(tables, about)
+    files["README.txt"] = _readme(tables, about, task)
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
         for name, text in files.items():
@@ -596,7 +585,7 @@ def _harmless(value: object) -> object:
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
 
 
-def _readme(tables: Mapping[str, pd.DataFrame], about: str) -> str:
+def _readme(tables: Mapping[str, pd.DataFrame], about: str, task: str) -> str:
     """Return what the columns mean, with their units."""
     with MEANINGS.open(encoding="utf-8", newline="") as file:
         own = {name: (unit, meaning) for name, unit, meaning in csv.reader(file)}
@@ -604,20 +593,21 @@ def _readme(tables: Mapping[str, pd.DataFrame], about: str) -> str:
     for name, table in tables.items():
         lines += [f"{name}.csv, {name}.parquet: {len(table)} rows"]
         for column in map(str, table):
-            unit, meaning = own.get(column) or _meaning_of(column)
+            unit, meaning = own.get(f"{task}.{column}") or own.get(column) or _score(column)
+            if name == "samples" and (signal := VOCABULARY.get(column)):  # not a drive's mean of it
+                unit, meaning = unit if signal.unit == "measure" else signal.unit, signal.meaning
             lines.append(f"  {column}{f' [{unit}]' if unit else ''}: {meaning}")
     return "\n".join(lines) + "\n"
 
 
-def _meaning_of(column: str) -> tuple[str, str]:
-    """Return unit and meaning of a signal, or of the score of a questionnaire."""
-    if column in VOCABULARY:
-        return VOCABULARY[column].unit, VOCABULARY[column].meaning
+def _score(column: str) -> tuple[str, str]:
+    """Return unit and meaning of the score of a questionnaire."""
     page, _, kind = column.rpartition("_")
-    return "", f"{SCORES[kind]} of the questionnaire {page}" if kind in SCORES else ""
+    return "", f"{SCORES[kind]} {page}" if kind in SCORES else ""
 
 
-SCORES = {"raw": "mean score", "mean": "mean score", "subscale": "score of a subscale"}
+SCORES = dict.fromkeys(("raw", "mean"), "mean score of the questionnaire")
+SCORES["subscale"] = "score of the subscale"
 
 
 def samples_of(sessions: list[Session]) -> pd.DataFrame:

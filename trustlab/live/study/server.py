@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import resource
 import threading
 from collections.abc import Awaitable, Container
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from html import escape
 from pathlib import Path
 from typing import Any, Self
 from urllib.parse import urlsplit
@@ -35,7 +37,7 @@ from trustlab.live.study.plan import (
 )
 from trustlab.live.task import prepare
 from trustlab.live.trial import OTHER_WINDOW, made_by
-from trustlab.models.checks import flag, whole_number
+from trustlab.models.checks import flag, shown, whole_number
 from trustlab.models.extras import extra
 
 with extra("live"):
@@ -279,7 +281,7 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
 
     async def on_message(self, text: str | bytes) -> None:
         """Do the commands of a message, after those before it; answer with the picture."""
-        words = self.server.plan.content["words"]
+        words = self.server.words
         try:
             message = parsed(text) | {"page": int(self.path_args[1])}
             answer = await self.server.ask(self.who, "drive", message)
@@ -293,8 +295,8 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
             answer = {"refused": words["stopped"].replace("{error}", str(error))}
         if answer.get("refused") == OTHER_WINDOW:
             answer["refused"] = words["other_window"]
-        if self.ws_connection is not None:
-            self.write_message(json.dumps(answer))
+        with suppress(tornado.websocket.WebSocketClosedError):  # the page was left meanwhile
+            await self.write_message(json.dumps(answer))
 
 
 class Listener(tornado.httpserver.HTTPServer):
@@ -310,6 +312,18 @@ class Listener(tornado.httpserver.HTTPServer):
             stream.close()
         else:
             super().handle_stream(stream, address)
+
+
+ADDRESS = re.compile(r"(http(s?)://(?:[a-z0-9.-]+|\[[0-9a-f:]+\]))(:\d+)?/?")
+
+
+def address(url: str) -> str:
+    """Return an address as browsers send it: in small letters, without the usual port."""
+    parts = ADDRESS.fullmatch(str(url).lower())
+    if parts is None:
+        raise ValueError(f"url must be like https://study.example.org, got {shown(url)}")
+    home, secure, port = parts.groups("")
+    return home if port == (":443" if secure else ":80") else home + port
 
 
 class StudyServer:
@@ -331,18 +345,21 @@ class StudyServer:
         url: str = "",
         enrol: bool = False,
     ):
-        if url and (not urlsplit(url).hostname or urlsplit(url).path.strip("/")):
-            raise ValueError(f"url must be like https://study.example.org, got {url!r}")
         if plan.content["made_by"] != made_by():
             raise ValueError(
                 f"the study was frozen with {plan.content['made_by']}, this is {made_by()}: its "
                 "drives would not compare; go on with the version it was begun with"
             )
-        self.plan, self.url = plan, url.rstrip("/")
+        self.plan, self.url = plan, address(url) if url else ""
+        self.words: dict[str, str] = plan.content["words"]
         self.port = whole_number("port", port, 0, 65535)
         self.enrol = flag("enrol", enrol)
         files = (path for path in STATIC.iterdir() if path.suffix in TYPES)
         self.files = {path.name: path.read_bytes() for path in files}
+        told = {"language": plan.content["language"], "words": json.dumps(self.words), **self.words}
+        holes = {name: escape(text) for name, text in told.items()}
+        for path in STATIC.glob("*.html"):
+            self.files[path.name] = path.read_text(encoding="utf-8").format_map(holes).encode()
         self.queues: dict[str, asyncio.Lock] = {}
         self.participants: dict[str, Participant] = {}
         self.damaged: dict[str, str] = {}  # participants who cannot go on, and why
@@ -371,7 +388,7 @@ class StudyServer:
             self.damaged.pop(code, None)
             raise DeletedError(f"participant {code} was deleted")
         if code in self.damaged:
-            raise RefusedError("The study cannot go on here. Please ask the experimenter.")
+            raise RefusedError(self.words["damaged"])
         return self.participants[code]
 
     async def ask(self, code: str, request: str, body: dict) -> Any:
@@ -388,7 +405,7 @@ class StudyServer:
         for code in self.plan.present():
             if code not in self.damaged and await self.ask(code, "enrol", {}):
                 return self.tokens[code]
-        raise RefusedError("All places of this study are taken. Thank you for your interest.")
+        raise RefusedError(self.words["full"])
 
     def mistaken(self, error: Any) -> None:
         """Note a mistake of ours; the log tells each kind once."""

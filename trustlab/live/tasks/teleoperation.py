@@ -105,6 +105,7 @@ class LiveFlight:
         self.samples = config["samples"]
         self.every = round(PERIOD / self.settings.sample_time)
         self.periods = 0
+        self.share = config["limits"]["alpha_choice"][1]
         self.last: Any = None
         self.values = [0.0] * (len(COLUMNS) - len(COMMANDS))
         self.failed = ""
@@ -116,11 +117,11 @@ class LiveFlight:
 
     def step(self, *command: float) -> list[float]:
         """Fly one period; a share below 0 is left to the scheme."""
-        x, y, choice = command
+        x, y, self.share = command
         ends = self.settings.scattering
         alpha = None
-        if choice >= 0.0:
-            alpha = ends.alpha_min + choice * (ends.alpha_max - ends.alpha_min)
+        if self.share >= 0.0:
+            alpha = ends.alpha_min + self.share * (ends.alpha_max - ends.alpha_min)
         hand = np.array([x * self.reach[0], y * self.reach[1], 0.0])
         try:
             for _ in range(0 if self.failed else self.every):
@@ -133,15 +134,16 @@ class LiveFlight:
             vectors = np.concatenate([self.last[name][:2] for name in VECTORS])
             self.values = [*vectors.tolist(), *(float(self.last[name]) for name in NUMBERS)]
         self.periods += 1
-        return [x, y, choice, *self.values]
+        return [*command, *self.values]
 
     def picture(self) -> dict:
         """Return what the page draws: what the camera sees now, the device and the forces."""
+        about: dict = {"share": self.share}
         if self.failed:  # its numbers may be infinite
-            return {"over": self.failed}
+            return about | {"over": self.failed}
         if self.last is None:
             nothing = [0.0, 0.0]
-            return dict.fromkeys(("target", "robot", "device", "force", "guide"), nothing)
+            return about | dict.fromkeys(("target", "robot", "device", "force", "guide"), nothing)
         now, scaling = self.last, -self.settings.force_scaling
         error = now["error"][:2]
         places = {
@@ -151,7 +153,7 @@ class LiveFlight:
             "force": scaling * now["f_m"][:2],
             "guide": scaling * now["guide"][:2],
         }
-        shown = {name: np.round(place, 5).tolist() for name, place in places.items()}
+        shown = about | {name: np.round(place, 5).tolist() for name, place in places.items()}
         seen = bool((np.abs(error) <= self.task.view).all())
         return shown if seen else shown | {"target": None}
 
