@@ -21,6 +21,7 @@ from trustlab.ros import (
     RunSettings,
     measures_table,
     read_run,
+    Topic,
     read_toml,
 )
 from trustlab.ros.node import Recorder
@@ -596,6 +597,24 @@ def _flip(rows, topic, number):
 def _edit(rows, before, after, where="/trustlab/metadata"):
     """Replace a part of the text on a topic."""
     for k, (topic, kind, stamp, data) in enumerate(rows):
+def test_a_reference_in_another_frame_than_odometry_is_noted_once(node, tmp_path):
+    kind = "geometry_msgs/msg/PoseStamped"
+    reference = Topic("/reference", kind, ("pose.position.x", "pose.position.y"))
+    run = RunSettings(MODEL, "C1", settings=SHORT, topics={"path_error": reference})
+    allocation = Allocation(node, run, tmp_path / "a.mcap")
+    for k in range(40):
+        node.time += STEP
+        for topic in ("/operator/cmd_vel", "/autonomy/cmd_vel"):
+            node.send(topic, TWIST, linear__x=0.2)
+        node.send("/reference", kind, node.time, header__frame_id="" if k < 20 else "map")
+        node.send("/odom", "nav_msgs/msg/Odometry", node.time, header__frame_id="odom")
+    result = allocation.finish()
+    assert result.verified
+    notes = [note for note in result.session.metadata.more["notes"] if "'odom'" in note]
+    assert len(notes) == 1
+    assert "path_error: in frame 'map', odometry in 'odom'" in notes[0]
+
+
         if topic == where and before in (text := fake_ros.STORE.deserialize_cdr(data, kind).data):
             message = fake_ros.STORE.types[kind](text.replace(before, after))
             rows[k] = (topic, kind, stamp, fake_ros.serialize(message))

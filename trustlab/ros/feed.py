@@ -26,6 +26,7 @@ class Feed:
         self.ended = False
         self.down: dict[str, bool] = {}
         self.frames: dict[str, str] = {}
+        self.apart = False
         self.names: dict[str, list[str]] = {}
         for name, topic in run.topics.items():
             if name != "command":
@@ -66,6 +67,10 @@ class Feed:
             self.core.note(f"{name}: in frame {frame!r}, before in {self.frames[name]!r}")
             self.frames[name] = frame
         if len(numbers) > len(FIELDS[name]):  # of a reference: the path error is its distance
+            other = self.frames["odometry"]
+            if frame and other and frame != other and not self.apart:
+                self.apart = True
+                self.core.note(f"{name}: in frame {frame!r}, odometry in {other!r}")
             place = self.core.inputs["odometry"].values
             if place is None:
                 return False
