@@ -85,9 +85,12 @@ def read_run(path: str | Path, run: RunSettings | None = None, own_rules: bool =
     Raises
     ------
     SessionError
-        If the file is damaged, fewer than two samples were logged, or the bag names a rule.
+        If the file is missing or damaged, fewer than two samples were logged, or the bag names a
+        rule.
     """
     path = Path(path)
+    if not path.is_file():
+        raise SessionError(f"there is no file {path}")
     if path.suffix == LOG:
         return finish_run(path, run, own_rules)
     with damage_named(f"{path} is not the whole bag of a run", "read its log, if there is one"):
