@@ -153,16 +153,16 @@ class CoreSettings(Checked):
         self.__dict__["watchdogs"] = usual | self.watchdogs
 
 
+@dataclass
 class Input:
     """The latest accepted message of one input; what is refused is passed to `note`."""
 
-    def __init__(self, name: str, watchdog: Watchdog, note: Callable[[str], None]):
-        self.name = name
-        self.watchdog = watchdog
-        self.note = note
-        self.stamp = -math.inf
-        self.values: Any = None
-        self.silent = False
+    name: str
+    watchdog: Watchdog
+    note: Callable[[str], None]
+    stamp: float = -math.inf
+    values: Any = None
+    silent: bool = False
 
     def take(self, stamp: float, values: tuple[float, ...], now: float) -> bool:
         """Take a message over, or note its fault and return False."""
@@ -298,8 +298,8 @@ class AllocationCore:
         settings: CoreSettings | None = None,
     ):
         self.model = of_class("model", model, TscModel, TscModel.how_to_get)
-        self.settings = settings or CoreSettings()
-        of_class("settings", self.settings, CoreSettings)
+        settings = CoreSettings() if settings is None else settings
+        self.settings = of_class("settings", settings, CoreSettings)
         if (condition is None) == (rule is None):
             raise ValueError("AllocationCore needs one of these: a condition, C1 to C5, or a rule")
         self.condition = condition
@@ -383,8 +383,8 @@ class AllocationCore:
         if name in ("operator", "autonomy"):
             entry.values = tuple(self._within(values).tolist())
             if entry.values != values:
-                v, w = values
-                self.note(f"{name}: {v:.3g} m/s, {w:.3g} rad/s count within the bounds alone")
+                given = "{:.3g} m/s, {:.3g} rad/s".format(*values)
+                self.note(f"{name}: {given} count within the bounds alone")
         return True
 
     def press(self, mode: int) -> bool:
@@ -497,7 +497,7 @@ class AllocationCore:
         tsc = float(self.model.value(p_r, p_h))
         suggestion = -1
         waited = len(self.rows) * settings.period >= settings.wait
-        if waited and not silent and not self.stopped:
+        if waited and not (silent or self.stopped):
             try:
                 suggestion = self._asked(tsc, p_r, p_h)
             except ValueError as fault:
@@ -539,11 +539,11 @@ class AllocationCore:
         mode = decision(self.rule, where, tsc, p_r)
         if mode is not None and self.forced:
             self.mode = mode
-        if self.correction is not None and len(self.rows) % self.correct_every == 0:
-            self.correction.r = self.r
-            self.correction.update(p_r, p_h, int(self.mode))
-            now = self.correction
-            self.rule.lower, self.rule.upper = now.lower, now.upper  # for the next step
+        correction = self.correction
+        if correction is not None and len(self.rows) % self.correct_every == 0:
+            correction.r = self.r
+            correction.update(p_r, p_h, int(self.mode))
+            self.rule.lower, self.rule.upper = correction.lower, correction.upper  # from now on
         return -1 if mode is None or mode == self.mode else mode
 
     def _share(self, silent: set[str]) -> float | None:
@@ -600,13 +600,16 @@ class AllocationCore:
         t = [k * self.settings.period for k in range(len(self.rows))]
         frame = pd.DataFrame(self.rows, columns=list(COLUMNS), index=t)
         notes = [f"{when:.6f} s: {text}" for when, text in self.notes]
-        more = {kind: count - MOST_NOTES for kind, count in self.kinds.items()}
-        notes += [f"{count} more: {kind}" for kind, count in more.items() if count > 0]
+        kinds = self.kinds.items()
+        notes += [f"{n - MOST_NOTES} more: {kind}" for kind, n in kinds if n > MOST_NOTES]
         window = self.settings.window
-        metadata = Metadata(condition=self.condition, source="trustlab.ros.AllocationCore")
-        # Fits look there.
-        measured = {"performance": f"(2.4), window {window:g} s", "performance_window": window}
-        return Session(frame, metadata.changed(notes=notes, **measured, **facts))
+        metadata = Metadata(condition=self.condition, source="trustlab.ros.AllocationCore").changed(
+            notes=notes,
+            performance=f"(2.4), window {window:g} s",
+            performance_window=window,  # where fits look
+            **facts,
+        )
+        return Session(frame, metadata)
 
 
 def _rule_of(
@@ -620,7 +623,8 @@ def _rule_of(
     _, forced = CONDITIONS[one_of("condition", condition, CONDITIONS)]
     pair = given_thresholds(condition, thresholds)
     if pair is not None:
-        return ThresholdRule(*pair), forced
+        lower, upper = pair
+        return ThresholdRule(lower, upper), forced
     if condition == "C1":
         return None, False
     return PerformanceRule(model.robot.p_min, model.robot.p_max), forced

@@ -39,18 +39,15 @@ class Feed:
     def hear(self, topic: str, message: Any, now: int) -> list[str]:
         """Hand a message on and return the names of the inputs that took it over."""
         if topic == CLOCK:
-            self._set_clock(message.data)
+            step = (message.data - self.ahead) / 1e9
+            if abs(step) > AHEAD:
+                self.core.rest(f"the computer's clock steps by {step:.3g} s")
+            self.ahead = message.data
         elif topic == NOTE:
             self.ended = message.data == END
             if not self.ended:
                 self.core.note(message.data)
         return [name for name in self.names.get(topic, ()) if self._taken(name, message, now)]
-
-    def _set_clock(self, ahead: int) -> None:
-        step = (ahead - self.ahead) / 1e9
-        if abs(step) > AHEAD:
-            self.core.rest(f"the computer's clock steps by {step:.3g} s")
-        self.ahead = ahead
 
     def _taken(self, name: str, message: Any, now: int) -> bool:
         source = self.run.topics[name]
@@ -67,13 +64,13 @@ class Feed:
             self.core.note(f"{name}: in frame {frame!r}, before in {self.frames[name]!r}")
             self.frames[name] = frame
         if len(numbers) > len(FIELDS[name]):  # of a reference: the path error is its distance
+            place = self.core.inputs["odometry"].values
+            if place is None:
+                return False
             other = self.frames["odometry"]
             if frame and other and frame != other and not self.apart:
                 self.apart = True
                 self.core.note(f"{name}: in frame {frame!r}, odometry in {other!r}")
-            place = self.core.inputs["odometry"].values
-            if place is None:
-                return False
             numbers = (math.dist(place, numbers),)
         return self.core.hear(name, self.stamp(name, message, now), numbers, self.seconds(now))
 

@@ -101,6 +101,10 @@ class Allocation:
         self.noted = 0
         self.senders = 1
         self.classes = {topic: _class(kind) for topic, kind in run.types().items()}
+        self.command = run.topics["command"]
+        self.command.fill(
+            self.classes[self.command.topic](), (0.0, 0.0)
+        )  # or it has no such fields
         self.recorder = Recorder(Path(path).with_suffix(LOG), node.get_logger().error)
         self.began = monotonic_ns()
         self.last = node.get_clock().now().nanoseconds
@@ -108,7 +112,7 @@ class Allocation:
         self._record(RUN, data=json.dumps(run.tables()))
         self.publishers = {
             topic: node.create_publisher(self.classes[topic], topic, 1)
-            for topic in (run.topics["command"].topic, *STATES)
+            for topic in (self.command.topic, *STATES)
         }
         for topic, names in self.feed.names.items():
             best_effort = run.topics[names[0]].best_effort
@@ -174,7 +178,7 @@ class Allocation:
     def _tick(self) -> None:
         """Step where odometry is missing, so that watchdogs act; look for others who command."""
         now = self._now()
-        senders = self.node.count_publishers(self.run.topics["command"].topic)
+        senders = self.node.count_publishers(self.command.topic)
         if senders > self.senders:
             self._record(NOTE, data=f"command: {senders} publishers send it, not this one alone")
         self.senders = max(senders, 1)
@@ -186,7 +190,7 @@ class Allocation:
 
     def _step(self, now: int) -> None:
         decision = self.core.step(self.feed.seconds(now))
-        self._record(self.run.topics["command"].topic, self._send(decision.v, decision.w))
+        self._record(self.command.topic, self._send(decision.v, decision.w))
         for topic, name in STATES.items():
             state = self.classes[topic](data=float(getattr(decision, name)))
             self.publishers[topic].publish(state)
@@ -199,13 +203,12 @@ class Allocation:
 
     def _send(self, *values: float) -> Any:
         """Publish a command and return its message."""
-        topic = self.run.topics["command"]
-        command = self.classes[topic.topic]()
+        command = self.classes[self.command.topic]()
+        self.command.fill(command, values)
         if hasattr(command, "header"):
             stamp = command.header.stamp
             stamp.sec, stamp.nanosec = divmod(self.last + self.feed.ahead, 10**9)
-        topic.fill(command, values)
-        self.publishers[topic.topic].publish(command)
+        self.publishers[self.command.topic].publish(command)
         return command
 
     def finish(self) -> RobotRun:

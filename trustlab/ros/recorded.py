@@ -150,7 +150,7 @@ class Replay:
         with extra("ros"):
             from rosbags.typesys import Stores, get_typestore
 
-        store = get_typestore(Stores.ROS2_HUMBLE)
+        self.store = store = get_typestore(Stores.ROS2_HUMBLE)
         if not messages or messages[0][0] != RUN:
             raise SessionError("no run is recorded here; remove the file")
         _, start, data = messages[0]
@@ -176,8 +176,9 @@ class Replay:
         if topic == command.topic:
             self.times.append(self.feed.seconds(now))
             self.decisions.append(self.core.step(self.times[-1]))
-            sent = command.numbers(message)
-            self.same &= sent == (self.decisions[-1].v, self.decisions[-1].w)
+            sent = self.store.serialize_cdr(message, command.type)
+            command.fill(message, (self.decisions[-1].v, self.decisions[-1].w))
+            self.same &= sent == self.store.serialize_cdr(message, command.type)
         elif topic in STATES:
             state = getattr(self.decisions[-1], STATES[topic])
             self.same &= message.data == state or state != state
@@ -207,9 +208,9 @@ def measures_table(runs: Iterable[RobotRun]) -> pd.DataFrame:
     rows = []
     count: Counter = Counter()
     for run in runs:
-        about = run.session.metadata
-        count[about.participant] += 1
-        facts: dict = {"participant": about.participant, "position": count[about.participant]}
-        facts |= {"condition": about.condition, "synthetic": about.synthetic}
-        rows.append(facts | run.measures)
+        about = run.session.metadata.as_dict()
+        count[about["participant"]] += 1
+        about["position"] = count[about["participant"]]
+        facts = ("participant", "position", "condition", "synthetic")
+        rows.append({name: about[name] for name in facts} | run.measures)
     return pd.DataFrame(rows)
