@@ -15,7 +15,7 @@ import numpy as np
 
 from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.allocation.correction_run import OnlineCorrection
-from trustlab.allocation.rules import PerformanceRule, ThresholdRule, decision, prepared_rule
+from trustlab.allocation.rules import PerformanceRule, ThresholdRule, prepared_rule
 from trustlab.live.condition import given_thresholds
 from trustlab.models.checks import (
     Checked,
@@ -486,12 +486,11 @@ class AllocationCore:
     def _measured(self, silent: set[str]) -> tuple[float, int]:
         """Measure performance, ask the rule unless an input is silent, and log the sample."""
         settings = self.settings
-        distance = self._distance()
-        error = np.array(self.inputs["path_error"].values)
-        v, w = self.inputs["operator"].values
-        speed = goal_speed(np.array([distance]), error, settings.period, settings.e_max)
-        self.speeds += speed.tolist()
-        self.skills += manoeuvring(np.array([v]), np.array([w]), error, settings.e_max).tolist()
+        error, command = self.inputs["path_error"].values, self.inputs["operator"].values
+        measured = (*error, self._distance(), *command)
+        error, distance, v, w = np.array([measured]).T
+        self.speeds += goal_speed(distance, error, settings.period, settings.e_max).tolist()
+        self.skills += manoeuvring(v, w, error, settings.e_max).tolist()
         p_r = math.fsum(self.speeds) / len(self.speeds)
         p_h = math.fsum(self.skills) / len(self.skills)
         tsc = float(self.model.value(p_r, p_h))
@@ -500,11 +499,11 @@ class AllocationCore:
         if waited and not (silent or self.stopped):
             try:
                 suggestion = self._asked(tsc, p_r, p_h)
-            except ValueError as fault:
-                self.note(f"{fault}; the robot is stopped")
+            except Exception as error:
+                fault = f"t = {self.now:g} s: {type(error).__name__}: {error}"
+                self.note(f"rule.step failed at {fault}; the robot is stopped")
                 self.stopped = True
-        row = (self.mode, p_r, p_h, tsc, self.r, *error.tolist(), distance, v, w, suggestion)
-        self.rows.append(row)
+        self.rows.append((self.mode, p_r, p_h, tsc, self.r, *measured, suggestion))
         self.r = next_utilization.py_func(self.r, self.mode, self.a_r)  # (2.5)
         return tsc, suggestion
 
@@ -524,21 +523,11 @@ class AllocationCore:
         """Ask rule and correction; change the mode where the rule allocates, else suggest one."""
         if self.rule is None:
             return -1
-        where = f"t = {self.now:g} s"
-        if self.condition is None:
-            try:
-                share = self.rule.step(tsc=tsc, p_r=p_r)
-                if share is not None:
-                    self.mode = between("the operator's share", float(share), 0.0, 1.0)
-            except Exception as error:
-                name = type(error).__name__
-                raise ValueError(f"rule.step failed at {where}: {name}: {error}") from error
-            return -1
         if isinstance(self.rule, ThresholdRule) and not self.forced:
             self.rule.mode = int(self.mode)  # hysteresis goes with the mode that the button chose
-        mode = decision(self.rule, where, tsc, p_r)
+        mode = self.rule.step(tsc=tsc, p_r=p_r)
         if mode is not None and self.forced:
-            self.mode = mode
+            self.mode = between("the operator's share", float(mode), 0.0, 1.0)
         correction = self.correction
         if correction is not None and len(self.rows) % self.correct_every == 0:
             correction.r = self.r

@@ -187,8 +187,8 @@ class Replay:
 
     def session(self) -> Session:
         """Return the session of what was heard, with the link of the last message."""
-        ended = self.feed.ended
-        return self.core.session(**self.run.facts, interrupted=not ended, log=self.link)
+        whole = {"interrupted": not self.feed.ended, "log": self.link}
+        return self.core.session(**self.run.facts, **whole)
 
 
 def measures_table(runs: Iterable[RobotRun]) -> pd.DataFrame:

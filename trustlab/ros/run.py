@@ -125,26 +125,34 @@ CLOCK = "/allocation/clock"
 OWN_TYPES = {RUN: "std_msgs/msg/String", NOTE: "std_msgs/msg/String", CLOCK: "std_msgs/msg/Int64"}
 # What is published and recorded beside the command, as Float64: fields of a `Decision`.
 STATES = {f"/allocation/{name}": name for name in ("mode", "tsc", "suggestion", "lower", "upper")}
-_TWIST = ("linear.x", "angular.z")
 FLOAT = "std_msgs/msg/Float64"
+_TWIST = ("geometry_msgs/msg/Twist", ("linear.x", "angular.z"))
+_BOOL = ("std_msgs/msg/Bool", ("data",))
 # By name, what a run listens to and where its command goes.
 TOPICS = {
     "odometry": Topic(
         "/odom", "nav_msgs/msg/Odometry", ("pose.pose.position.x", "pose.pose.position.y")
     ),
-    "operator": Topic("/operator/cmd_vel", "geometry_msgs/msg/Twist", _TWIST),
-    "autonomy": Topic("/autonomy/cmd_vel", "geometry_msgs/msg/Twist", _TWIST),
+    "operator": Topic("/operator/cmd_vel", *_TWIST),
+    "autonomy": Topic("/autonomy/cmd_vel", *_TWIST),
     "path_error": Topic("/path_error", FLOAT, ("data",)),
-    "button": Topic("/operator/manual", "std_msgs/msg/Bool", ("data",)),
-    "stop": Topic("/operator/stop", "std_msgs/msg/Bool", ("data",)),
-    "release": Topic("/operator/release", "std_msgs/msg/Bool", ("data",)),
-    "command": Topic("/cmd_vel", "geometry_msgs/msg/Twist", _TWIST),
+    "button": Topic("/operator/manual", *_BOOL),
+    "stop": Topic("/operator/stop", *_BOOL),
+    "release": Topic("/operator/release", *_BOOL),
+    "command": Topic("/cmd_vel", *_TWIST),
 }
 
 
 # What a run itself writes into the metadata of its session.
-WRITTEN = {"condition", "source", "notes", "performance", "performance_window"}
-WRITTEN |= {"interrupted", "log"}
+WRITTEN = {
+    "condition",
+    "source",
+    "notes",
+    "performance",
+    "performance_window",
+    "interrupted",
+    "log",
+}
 
 
 @dataclass(frozen=True)
