@@ -321,7 +321,7 @@ class AllocationCore:
         self.notes: list[tuple[float, str]] = []
         self.kinds = Counter()
         self.now = -math.inf
-        self.last_step: float | None = None
+        self.last_step = math.nan
         self.stopped = False
         self.command = (0.0, 0.0)
         self.rows: list[tuple] = []
@@ -460,12 +460,10 @@ class AllocationCore:
         ValueError
             If the clock is not finite.
         """
-        previous = self.now
-        self.now = finite_number("now", now)
-        if now < previous:
-            self.now = previous
-            self.note(f"clock went back by {previous - now:.3g} s")
-        elapsed = self.settings.period if self.last_step is None else self.now - self.last_step
+        if finite_number("now", now) < self.now:
+            self.note(f"clock went back by {self.now - now:.3g} s")
+        self.now = max(self.now, now)
+        elapsed = self.now - self.last_step  # NaN in the first step
         if elapsed > LATE_STEP * self.settings.period:
             self.note(f"step late: {elapsed:.3g} s after the one before")
         self.last_step = self.now
@@ -479,7 +477,7 @@ class AllocationCore:
         share = self._share(silent)
         # Steps made up for after a gap come at once, and together change the command by no more
         # than one does.
-        self.command = self._bounded(share, min(elapsed, self.settings.period))
+        self.command = self._bounded(share, min(self.settings.period, elapsed))
         driver = _DRIVERS.get(share, "both")
         return Decision(*self.command, driver, self.mode, suggestion, tsc, lower, upper)
 

@@ -27,10 +27,6 @@ class Feed:
         self.down: dict[str, bool] = {}
         self.frames: dict[str, str] = {}
         self.apart = False
-        self.names: dict[str, list[str]] = {}
-        for name, topic in run.topics.items():
-            if name != "command":
-                self.names.setdefault(topic.topic, []).append(name)
 
     def seconds(self, now: int) -> float:
         """Return a time of the run's clock since the start [s]."""
@@ -47,7 +43,8 @@ class Feed:
             self.ended = message.data == END
             if not self.ended:
                 self.core.note(message.data)
-        return [name for name in self.names.get(topic, ()) if self._taken(name, message, now)]
+        names = [name for name, source in self.run.topics.items() if source.topic == topic]
+        return [name for name in names if self._taken(name, message, now)]
 
     def _taken(self, name: str, message: Any, now: int) -> bool:
         source = self.run.topics[name]

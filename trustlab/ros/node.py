@@ -101,10 +101,10 @@ class Allocation:
         self.noted = 0
         self.senders = 1
         self.classes = {topic: _class(kind) for topic, kind in run.types().items()}
-        self.command = run.topics["command"]
-        self.command.fill(
-            self.classes[self.command.topic](), (0.0, 0.0)
-        )  # or it has no such fields
+        *inputs, self.command = run.topics.values()
+        self.command.numbers(
+            self.classes[self.command.topic]()
+        )  # refuses a type without the fields
         self.recorder = Recorder(Path(path).with_suffix(LOG), node.get_logger().error)
         self.began = monotonic_ns()
         self.last = node.get_clock().now().nanoseconds
@@ -114,8 +114,7 @@ class Allocation:
             topic: node.create_publisher(self.classes[topic], topic, 1)
             for topic in (self.command.topic, *STATES)
         }
-        for topic, names in self.feed.names.items():
-            best_effort = run.topics[names[0]].best_effort
+        for topic, best_effort in {each.topic: each.best_effort for each in inputs}.items():
             policy = ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE
             profile = QoSProfile(depth=50, reliability=policy)
             heard = partial(self._heard, topic)
@@ -134,10 +133,10 @@ class Allocation:
             now = self.feed.start + monotonic_ns() - self.began
         self.last = max(self.last + 1, now)
         ahead = time - self.last
-        if abs(ahead - self.feed.ahead) > SLEW:
-            stepped = abs(ahead - self.feed.ahead) > AHEAD * 1e9
+        step = abs(ahead - self.feed.ahead)
+        if step > SLEW:
             self._record(CLOCK, data=ahead)
-            if stepped:
+            if step > AHEAD * 1e9:
                 self._send(0.0, 0.0)
         return self.last
 

@@ -96,18 +96,9 @@ class Topic(Checked):
             As a ROS library makes it.
         values : tuple of float
             One for each field.
-
-        Raises
-        ------
-        ValueError
-            If the message takes no number there.
         """
-        try:
-            for ((*steps, name), scale), value in zip(self.places, values, strict=True):
-                setattr(_part(message, steps), name, scale * value)
-        except (AssertionError, AttributeError, IndexError, TypeError) as error:
-            where = ", ".join(self.fields)
-            raise ValueError(f"{self.type} takes no number at {where} ({error})") from None
+        for ((*steps, name), scale), value in zip(self.places, values, strict=True):
+            setattr(_part(message, steps), name, scale * value)
 
 
 def _part(message: Any, steps: Iterable) -> Any:
@@ -122,10 +113,11 @@ def _part(message: Any, steps: Iterable) -> Any:
 RUN = "/allocation/run"
 NOTE = "/allocation/note"
 CLOCK = "/allocation/clock"
-OWN_TYPES = {RUN: "std_msgs/msg/String", NOTE: "std_msgs/msg/String", CLOCK: "std_msgs/msg/Int64"}
 # What is published and recorded beside the command, as Float64: fields of a `Decision`.
 STATES = {f"/allocation/{name}": name for name in ("mode", "tsc", "suggestion", "lower", "upper")}
 FLOAT = "std_msgs/msg/Float64"
+OWN_TYPES = {RUN: "std_msgs/msg/String", NOTE: "std_msgs/msg/String", CLOCK: "std_msgs/msg/Int64"}
+OWN_TYPES |= dict.fromkeys(STATES, FLOAT)
 _TWIST = ("geometry_msgs/msg/Twist", ("linear.x", "angular.z"))
 _BOOL = ("std_msgs/msg/Bool", ("data",))
 # By name, what a run listens to and where its command goes.
@@ -208,7 +200,7 @@ class RunSettings(Checked):
         if self.thresholds is not None:
             self.__dict__["thresholds"] = threshold_pair("threshold", self.thresholds)
         self.__dict__["topics"] = {**TOPICS, **self.topics}
-        taken = dict.fromkeys((*OWN_TYPES, *STATES))
+        taken = dict.fromkeys(OWN_TYPES)
         for name, topic in self.topics.items():
             usual = len(TOPICS[one_of("topics", name, TOPICS)].fields)
             most = 2 if name == "path_error" else usual
@@ -249,13 +241,12 @@ class RunSettings(Checked):
         watchdogs = _made(dict, "settings.watchdogs", settings.get("watchdogs", {}))
         for name, table in watchdogs.items():
             watchdogs[name] = _made(Watchdog, f"settings.watchdogs.{name}", table)
-        values["model"], sample_time = _model_of(values["model"], folder)
-        if sample_time is not None:
-            settings.setdefault("model_sample_time", sample_time)
+        values["model"], fitted = _model_of(values["model"], folder)
         for name, table in topics.items():
             changed = partial(dataclasses.replace, TOPICS[one_of("[topics]", name, TOPICS)])
             topics[name] = _made(changed, f"topics.{name}", table)
-        values["settings"] = _made(CoreSettings, "settings", settings | {"watchdogs": watchdogs})
+        settings = fitted | settings | {"watchdogs": watchdogs}
+        values["settings"] = _made(CoreSettings, "settings", settings)
         return _made(cls, "the run", values)
 
     def tables(self) -> dict:
@@ -265,8 +256,7 @@ class RunSettings(Checked):
 
     def types(self) -> dict[str, str]:
         """Return the types of the messages of every topic recorded."""
-        named = {topic.topic: topic.type for topic in self.topics.values()}
-        return OWN_TYPES | dict.fromkeys(STATES, FLOAT) | named
+        return OWN_TYPES | {topic.topic: topic.type for topic in self.topics.values()}
 
     def core(self) -> AllocationCore:
         """Return a decision core for one run, with everything compiled that it will call."""
@@ -315,11 +305,11 @@ def read_toml(path: str | Path) -> RunSettings:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _model_of(table: Mapping, folder: Path) -> tuple[Any, float | None]:
-    """Return the model of a run, and its sample time where it is fitted to a session."""
+def _model_of(table: Mapping, folder: Path) -> tuple[Any, dict]:
+    """Return the model of a run, and the setting that goes with one fitted to a session."""
     if set(table) == {"published"}:
         models = published_models()
-        return models[one_of("model.published", str(table["published"]), models)], None
+        return models[one_of("model.published", str(table["published"]), models)], {}
     if set(table) == {"session"}:
         from trustlab.identification.tsc import fit_tsc
         from trustlab.sessions.reading import read_session
@@ -328,14 +318,14 @@ def _model_of(table: Mapping, folder: Path) -> tuple[Any, float | None]:
         fit = fit_tsc(session)
         if not fit.success:
             raise ValueError(f"{table['session']} gives no model: {fit.message}")
-        return fit.model, session.sample_time
+        return fit.model, {"model_sample_time": session.sample_time}
     if set(table) != {"human", "robot"}:
         raise ValueError(
             "model needs published, session, or human and robot; got "
             f"{', '.join(table) or 'nothing'}"
         )
     robot = _made(RobotModel, "model.robot", table["robot"])
-    return TscModel(robot, _made(HumanModel, "model.human", table["human"])), None
+    return TscModel(robot, _made(HumanModel, "model.human", table["human"])), {}
 
 
 def _made(kind: Callable, where: str, table: Mapping) -> Any:
