@@ -5,7 +5,6 @@ import gc
 import signal
 import sys
 import time
-from datetime import datetime
 from pathlib import Path
 
 from trustlab.ros.node import Allocation
@@ -36,7 +35,7 @@ def main() -> None:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = rclpy.create_node("trustlab_allocation")
-    path = folder / f"{Path(options.run).stem}_{datetime.now():%Y%m%d-%H%M%S}.mcap"
+    path = folder / f"{Path(options.run).stem}_{time.strftime('%Y%m%d-%H%M%S')}.mcap"
     allocation = Allocation(node, run, path)
     executor = SingleThreadedExecutor()  # `rclpy.spin_once` adds and removes the node each time
     executor.add_node(node)

@@ -297,16 +297,26 @@ class AllocationCore:
         correction: ThresholdCorrector | None = None,
         settings: CoreSettings | None = None,
     ):
-        self.model = of_class("model", model, TscModel, TscModel.how_to_get)
+        self.model = of_class("model", model, TscModel)
         settings = CoreSettings() if settings is None else settings
         self.settings = of_class("settings", settings, CoreSettings)
         if (condition is None) == (rule is None):
             raise ValueError("AllocationCore needs one of these: a condition, C1 to C5, or a rule")
         self.condition = condition
-        self.rule, self.forced = _rule_of(model, condition, thresholds)
+        self.rule: Any = None
         self.mode: float = 1
+        self.forced = True
         if rule is not None:
             self.rule, self.mode = prepared_rule(rule, None)
+            if thresholds is not None:
+                raise ValueError("thresholds have no effect beside a rule; leave them out")
+        else:
+            _, self.forced = CONDITIONS[one_of("condition", condition, CONDITIONS)]
+            if given_thresholds(condition, thresholds) is not None:
+                lower, upper = thresholds
+                self.rule = ThresholdRule(lower, upper)
+            elif condition != "C1":
+                self.rule = PerformanceRule(model.robot.p_min, model.robot.p_max)
         self.correction = None
         if correction is not None:
             of_class("correction", correction, ThresholdCorrector)
@@ -460,7 +470,8 @@ class AllocationCore:
         ValueError
             If the clock is not finite.
         """
-        if finite_number("now", now) < self.now:
+        now = finite_number("now", now)
+        if now < self.now:
             self.note(f"clock went back by {self.now - now:.3g} s")
         self.now = max(self.now, now)
         elapsed = self.now - self.last_step  # NaN in the first step
@@ -470,10 +481,7 @@ class AllocationCore:
         silent = {name for name, entry in self.inputs.items() if entry.watch(self.now)}
         lower = getattr(self.rule, "lower", math.nan)
         upper = getattr(self.rule, "upper", math.nan)
-        tsc = math.nan
-        suggestion = -1
-        if self.heard:
-            tsc, suggestion = self._measured(silent)
+        tsc, suggestion = self._measured(silent) if self.heard else (math.nan, -1)
         share = self._share(silent)
         # Steps made up for after a gap come at once, and together change the command by no more
         # than one does.
@@ -597,21 +605,3 @@ class AllocationCore:
             **facts,
         )
         return Session(frame, metadata)
-
-
-def _rule_of(
-    model: TscModel, condition: str | None, thresholds: tuple[float, float] | None
-) -> tuple[Any, bool]:
-    """Return the rule of a condition, and whether it allocates at once."""
-    if condition is None:
-        if thresholds is not None:
-            raise ValueError("thresholds have no effect beside a rule; leave them out")
-        return None, True
-    _, forced = CONDITIONS[one_of("condition", condition, CONDITIONS)]
-    pair = given_thresholds(condition, thresholds)
-    if pair is not None:
-        lower, upper = pair
-        return ThresholdRule(lower, upper), forced
-    if condition == "C1":
-        return None, False
-    return PerformanceRule(model.robot.p_min, model.robot.p_max), forced

@@ -1,6 +1,7 @@
 """From messages to the decision core: the same for a robot's node and for the replay of a run."""
 
 import math
+from dataclasses import dataclass, field
 from typing import Any
 
 from trustlab.ros.core import AHEAD, FIELDS, AllocationCore
@@ -10,6 +11,7 @@ from trustlab.ros.run import CLOCK, NOTE, RunSettings
 END = "the run ends"
 
 
+@dataclass
 class Feed:
     """
     Hands messages on topics to a core.
@@ -18,15 +20,14 @@ class Feed:
     that it never steps; what the computer's clock is ahead of it stands on a topic of the run.
     """
 
-    def __init__(self, run: RunSettings, core: AllocationCore, start: int):
-        self.run = run
-        self.core = core
-        self.start = start
-        self.ahead = 0
-        self.ended = False
-        self.down: dict[str, bool] = {}
-        self.frames: dict[str, str] = {}
-        self.apart = False
+    run: RunSettings
+    core: AllocationCore
+    start: int
+    ahead: int = 0
+    ended: bool = False
+    apart: bool = False
+    down: dict[str, bool] = field(default_factory=dict)
+    frames: dict[str, str] = field(default_factory=dict)
 
     def seconds(self, now: int) -> float:
         """Return a time of the run's clock since the start [s]."""

@@ -189,7 +189,7 @@ class Allocation:
 
     def _step(self, now: int) -> None:
         decision = self.core.step(self.feed.seconds(now))
-        self._record(self.command.topic, self._send(decision.v, decision.w))
+        self._record(self.command.topic, self._send(*self.core.command))
         for topic, name in STATES.items():
             state = self.classes[topic](data=float(getattr(decision, name)))
             self.publishers[topic].publish(state)

@@ -177,7 +177,7 @@ class Replay:
             self.times.append(self.feed.seconds(now))
             self.decisions.append(self.core.step(self.times[-1]))
             sent = self.store.serialize_cdr(message, command.type)
-            command.fill(message, (self.decisions[-1].v, self.decisions[-1].w))
+            command.fill(message, self.core.command)
             self.same &= sent == self.store.serialize_cdr(message, command.type)
         elif topic in STATES:
             state = getattr(self.decisions[-1], STATES[topic])
@@ -187,8 +187,8 @@ class Replay:
 
     def session(self) -> Session:
         """Return the session of what was heard, with the link of the last message."""
-        whole = {"interrupted": not self.feed.ended, "log": self.link}
-        return self.core.session(**self.run.facts, **whole)
+        end = self.feed.ended
+        return self.core.session(**self.run.facts, interrupted=not end, log=self.link)
 
 
 def measures_table(runs: Iterable[RobotRun]) -> pd.DataFrame:
