@@ -393,8 +393,8 @@ class AllocationCore:
         if name in ("operator", "autonomy"):
             entry.values = tuple(self._within(values).tolist())
             if entry.values != values:
-                given = "{:.3g} m/s, {:.3g} rad/s".format(*values)
-                self.note(f"{name}: {given} count within the bounds alone")
+                v, w = values
+                self.note(f"{name}: {v:.3g} m/s, {w:.3g} rad/s count within the bounds alone")
         return True
 
     def press(self, mode: int) -> bool:
@@ -506,8 +506,10 @@ class AllocationCore:
             try:
                 suggestion = self._asked(tsc, p_r, p_h)
             except Exception as error:
-                fault = f"t = {self.now:g} s: {type(error).__name__}: {error}"
-                self.note(f"rule.step failed at {fault}; the robot is stopped")
+                self.note(
+                    f"rule.step failed at t = {self.now:g} s: {type(error).__name__}: {error}; "
+                    "the robot is stopped"
+                )
                 self.stopped = True
         self.rows.append((self.mode, p_r, p_h, tsc, self.r, *measured, suggestion))
         self.r = next_utilization.py_func(self.r, self.mode, self.a_r)  # (2.5)
@@ -593,7 +595,7 @@ class AllocationCore:
             reason = f"; never heard: {', '.join(unheard)}" if unheard else ""
             raise SessionError(f"a session needs two samples, logged {len(self.rows)}{reason}")
         t = [k * self.settings.period for k in range(len(self.rows))]
-        frame = pd.DataFrame(self.rows, columns=list(COLUMNS), index=t)
+        frame = pd.DataFrame(self.rows, columns=COLUMNS, index=t)
         notes = [f"{when:.6f} s: {text}" for when, text in self.notes]
         kinds = self.kinds.items()
         notes += [f"{n - MOST_NOTES} more: {kind}" for kind, n in kinds if n > MOST_NOTES]

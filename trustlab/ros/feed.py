@@ -75,10 +75,9 @@ class Feed:
     def stamp(self, name: str, message: Any, now: int) -> float:
         """Return when an input's message was measured, by its header or its arrival [s]."""
         header = getattr(message, "header", None)
-        if self.run.topics[name].stamp == "receive" or header is None:
-            return self.seconds(now)
-        stamp = header.stamp.sec * 10**9 + header.stamp.nanosec
-        return self.seconds(stamp - self.ahead)
+        if header is not None and self.run.topics[name].stamp == "header":
+            now = header.stamp.sec * 10**9 + header.stamp.nanosec - self.ahead
+        return self.seconds(now)
 
     def _press(self, name: str, down: bool) -> None:
         """Act when a button is pressed or, of the one that chooses the mode, moved."""

@@ -5,8 +5,8 @@ import queue
 import threading
 from collections.abc import Callable
 from functools import partial
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from time import monotonic_ns
 from typing import Any
 
@@ -102,9 +102,8 @@ class Allocation:
         self.senders = 1
         self.classes = {topic: _class(kind) for topic, kind in run.types().items()}
         *inputs, self.command = run.topics.values()
-        self.command.numbers(
-            self.classes[self.command.topic]()
-        )  # refuses a type without the fields
+        # Refuses a type without the fields, before anything is sent.
+        self.command.numbers(self.classes[self.command.topic]())
         self.recorder = Recorder(Path(path).with_suffix(LOG), node.get_logger().error)
         self.began = monotonic_ns()
         self.last = node.get_clock().now().nanoseconds
@@ -232,8 +231,7 @@ class Allocation:
 
 def _class(kind: str) -> Any:
     """Return the class of a type of messages, as "nav_msgs/msg/Odometry"."""
-    package, _, name = kind.partition("/msg/")
     try:
-        return getattr(import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError) as error:
+        return resolve_name(kind.replace("/msg/", ".msg:"))
+    except (ImportError, AttributeError, ValueError) as error:
         raise ValueError(f"there is no ROS message {kind}: {error}") from None

@@ -5,8 +5,8 @@ import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from trustlab.allocation.correction import ThresholdCorrector
@@ -260,11 +260,9 @@ class RunSettings(Checked):
 
     def core(self) -> AllocationCore:
         """Return a decision core for one run, with everything compiled that it will call."""
-        correction = None
-        if self.correction is not None:
-            corrector = partial(ThresholdCorrector, self.model)
-            correction = _made(corrector, "correction", self.correction)
-        rule = self.rule
+        rule, correction = self.rule, self.correction
+        if correction is not None:
+            correction = _made(partial(ThresholdCorrector, self.model), "correction", correction)
         if isinstance(rule, str):
             rule = _made(_imported(rule), "rule", {})
         allocation = self.model, self.condition, self.thresholds, rule, correction
@@ -340,9 +338,8 @@ def _made(kind: Callable, where: str, table: Mapping) -> Any:
 
 def _imported(name: str) -> Any:
     """Return what "module:name" names."""
-    module, _, attribute = name.partition(":")
     try:
-        return getattr(import_module(module), attribute)
+        return resolve_name(name)
     except (ImportError, AttributeError, ValueError) as error:
         raise ValueError(
             f"rule = {name!r} must be module:name of something to import, from the folder where "
