@@ -535,12 +535,13 @@ class AllocationCore:
             self.rule.mode = int(self.mode)  # hysteresis goes with the mode that the button chose
         mode = self.rule.step(tsc=tsc, p_r=p_r)
         if mode is not None and self.forced:
-            self.mode = between("the operator's share", float(mode), 0.0, 1.0)
+            mode = self.mode = between("the operator's share", float(mode), 0.0, 1.0)
         correction = self.correction
         if correction is not None and len(self.rows) % self.correct_every == 0:
             correction.r = self.r
             correction.update(p_r, p_h, int(self.mode))
-            self.rule.lower, self.rule.upper = correction.lower, correction.upper  # from now on
+            # for the next step
+            self.rule.lower, self.rule.upper = correction.lower, correction.upper
         return -1 if mode is None or mode == self.mode else mode
 
     def _share(self, silent: set[str]) -> float | None:
