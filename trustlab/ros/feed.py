@@ -44,8 +44,11 @@ class Feed:
             self.ended = message.data == END
             if not self.ended:
                 self.core.note(message.data)
-        names = [name for name, source in self.run.topics.items() if source.topic == topic]
-        return [name for name in names if self._taken(name, message, now)]
+        return [
+            name
+            for name, source in self.run.topics.items()
+            if source.topic == topic and self._taken(name, message, now)
+        ]
 
     def _taken(self, name: str, message: Any, now: int) -> bool:
         source = self.run.topics[name]

@@ -194,9 +194,10 @@ class RunSettings(Checked):
 
     def __post_init__(self):
         super().__post_init__()
+        # Refuses what a file cannot hold.
+        metadata_to_json(_made(Metadata().changed, "facts", self.facts))
         for name in WRITTEN & set(self.facts):
             raise ValueError(f"facts: {name!r} is written by the run itself; choose another name")
-        metadata_to_json(Metadata().changed(**self.facts))  # refuses what a file cannot hold
         if self.thresholds is not None:
             self.__dict__["thresholds"] = threshold_pair("threshold", self.thresholds)
         self.__dict__["topics"] = {**TOPICS, **self.topics}
@@ -235,7 +236,7 @@ class RunSettings(Checked):
             If a name or a value is not understood.
         """
         values = {name: value for name, value in tables.items() if value is not None}
-        for name in ("model", "settings", "topics", "facts"):
+        for name in ("model", "settings", "topics"):
             values[name] = _made(dict, name, values.get(name, {}))
         settings, topics = values["settings"], values["topics"]
         watchdogs = _made(dict, "settings.watchdogs", settings.get("watchdogs", {}))
