@@ -366,10 +366,10 @@ class LiveTracking(LiveWidget):
         self.scheme, loop = scheme_named(scheme), study_named(study)
         if task is not None:
             of_class("task", task, TrackingTask)
-        named = {"scheme": scheme, "study": study, "guidance": guidance}
-        parts = {name: part for name, part in named.items() if not isinstance(part, str)}
-        given = {"delay": delay, "task": task}
-        parts |= {name: part for name, part in given.items() if part is not None}
+        given = {"scheme": scheme, "study": study, "guidance": guidance, "task": task}
+        parts = {name: part for name, part in given.items() if not isinstance(part, str | None)}
+        if delay is not None:
+            parts["delay"] = delay
         where = guidance.where if isinstance(guidance, Guidance) else guidance
         settings = TeleoperationSettings(duration=duration, study=loop.study, guidance=where)
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
