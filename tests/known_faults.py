@@ -183,18 +183,15 @@ KNOWN = {
     },
     "ros.AllocationCore": {
         "thresholds": "foreign errors, no argument named",
-        "settings": "foreign errors",
     },
     "ros.CoreSettings": {
         "watchdogs": "foreign errors",
     },
     "ros.RunSettings": {
         "condition": "anything is taken",
-        "thresholds": "anything is taken",
         "rule": "NaN is taken",
         "correction": "NaN is taken",
         "topics": "foreign errors",
-        "facts": "NaN is taken",
     },
     "studies.StudyColumns": {
         "dv": "NaN is taken",

@@ -7,6 +7,7 @@ Oracle: the trial's log, and the task stepped by its commands.
 import json
 from contextlib import ExitStack
 from functools import partial
+from types import FunctionType
 
 import numpy as np
 import pytest
@@ -102,6 +103,35 @@ def test_logs_lie_under_the_users_state_folder(tmp_path, monkeypatch):
     assert tl.LiveTeam("by_hand", seed=1, participant="you").path != first.path
     heard(first, end=True)
     assert tl.LiveTeam("by_hand", seed=1).path == first.path.replace("-1.jsonl", "-2.jsonl")
+
+
+class Late:
+    """A delay of one's own; what it is called by Python holds where it lies in memory."""
+
+    def __call__(self, t):
+        return 0.2
+
+
+def by_half(state):
+    return state.alpha_min, state.beta_max
+
+
+def test_a_flight_with_parts_of_ones_own_is_recognized(tmp_path, monkeypatch):
+    """As after a restart of the kernel, which makes functions and objects anew."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    path = tl.LiveTracking(tl.Scheme("mine", by_half), delay=Late()).path
+    again = FunctionType(by_half.__code__, {}, "by_half")
+    other = tl.LiveTracking(tl.Scheme("mine", again), delay=Late())
+    assert other.path == path
+    assert " at 0x" not in json.dumps(other.trial.settings["parts"])
+    with pytest.raises(ValueError, match="delay must be"):
+        tl.LiveTracking(delay="0.1")
+
+
+def test_pictures_of_a_team_are_as_late_as_asked(tmp_path):
+    settings = LeadingSettings(least_delay=0.5)
+    live = tl.LiveTeam("by_hand", settings, log=tmp_path / "c.jsonl")
+    assert live.trial.settings["late"] == 0.5
 
 
 def test_what_goes_wrong_is_answered(tmp_path, full_disk):

@@ -1,10 +1,12 @@
 """The node on a stand-in for rclpy with the test's clock; oracles: rosbags alone, the bounds."""
 
 import math
+import re
 import shutil
 import struct
 import time
 from dataclasses import replace
+from datetime import date
 from threading import Event
 
 import numpy as np
@@ -14,16 +16,19 @@ from rosbags.highlevel import AnyReader
 
 import trustlab as tl
 from tests.ros import fake_ros
-from trustlab.live.log import read_log
+from trustlab.live.log import Log, read_log
 from trustlab.ros import (
     Allocation,
     CoreSettings,
     RunSettings,
+    Topic,
     measures_table,
     read_run,
     read_toml,
 )
+from trustlab.ros.__main__ import recover
 from trustlab.ros.node import Recorder
+from trustlab.ros.recorded import log_entry
 from trustlab.ros.run import RUN
 from trustlab.sessions.errors import SessionError
 
@@ -244,6 +249,29 @@ def test_twenty_cuts_leave_what_was_written_before(node, tmp_path):
         read_run(tmp_path / "a.mcap")
 
 
+def test_what_cannot_be_recovered_is_left_and_the_others_are(node, tmp_path, capsys):
+    driven(node, RunSettings(MODEL, "C1", settings=SHORT), tmp_path / "b.mcap", 50).recorder.close()
+    tables = fake_ros.Kind("std_msgs/msg/String")(data="[]")
+    Log(tmp_path / "a.jsonl").append([log_entry(RUN, 1, fake_ros.serialize(tables))])
+    recover(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.jsonl", "b.csv", "b.mcap"]
+    assert "a.jsonl: left as it is" in capsys.readouterr().out
+    with pytest.raises(SessionError, match=r"there is no .*c\.jsonl"):
+        read_run(tmp_path / "c.jsonl")
+    assert not (tmp_path / "c.jsonl").exists()
+
+
+def test_facts_are_refused_before_the_robot_drives():
+    for facts, words in (
+        ({"notes": "first trial"}, "'notes' is written by the run itself; choose another name"),
+        ({"condition": "C1"}, "'condition' is written by the run itself"),
+        ({"day": date(2026, 11, 29)}, "'day' would not read back the same"),
+        ({"synthetic": "yes"}, "synthetic must be bool"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            RunSettings(MODEL, "C1", facts=facts)
+
+
 def test_a_full_disk_ends_the_log_and_not_the_run(node, tmp_path, monkeypatch):
     run = RunSettings(MODEL, "C1", settings=SHORT)
     allocation = driven(node, run, tmp_path / "a.mcap", 50)
@@ -369,6 +397,23 @@ def test_a_stick_a_reference_and_stamped_commands(node, tmp_path):
     assert set(result.session["mode"]) == {0.5, 1.0}
 
 
+def test_a_command_is_scaled_and_may_have_32_bits(node, tmp_path):
+    kind = "geometry_msgs/msg/Point32"
+    command = Topic("/wheels", kind, ("x", "y"), scale=(1000.0, 3.0))
+    run = RunSettings(MODEL, "C1", settings=SHORT, topics={"command": command})
+    result = driven(node, run, tmp_path / "a.mcap", 60).finish()
+    assert result.verified
+    sent = by_rosbags(tmp_path / "a.mcap", ["/wheels"])["/wheels"]
+    scaled = result.decisions[["v", "w"]].to_numpy() * [1000.0, 3.0]
+    assert [(m.x, m.y) for m in sent] == [tuple(row) for row in scaled.astype(np.float32).tolist()]
+    assert scaled[-1, 0] > 100.0
+    _written_again(tmp_path / "a.mcap", lambda rows: _flip(rows, "/wheels", lambda m: m.x, "<f"))
+    assert not read_run(tmp_path / "a.mcap").verified
+    wrong = RunSettings(MODEL, "C1", topics={"command": Topic("/wheels", kind, ("linear.x", "y"))})
+    with pytest.raises(ValueError, match=r"no number at linear\.x, y"):
+        Allocation(node, wrong, tmp_path / "b.mcap")
+
+
 def test_a_failing_rule_stops_the_robot(node, tmp_path):
     run = RunSettings(MODEL, rule=Broken(), settings=SHORT)
     allocation = driven(node, run, tmp_path / "a.mcap", 100)
@@ -444,14 +489,22 @@ def test_a_toml_file_states_a_run(tmp_path):
         ("[settings]", "[setings]", "setings"),
         ('topic = "/base/odom"', 'fields = ["x..", "y"]', "cannot read the field path 'x..'"),
         ("[model]", "[model", "run.toml"),
+        ("[0.0, 0.4]", "[0.4, 0.0]", "run.toml: [the run] the lower threshold must be below"),
+        ("[0.0, 0.4]", "[0.0, 0.4, 0.0]", "run.toml: [the run] threshold must be two numbers"),
+        ("[0.0, 0.4]", "[5, 9]", "run.toml: [the run] the lower threshold must lie in"),
+        ('{ topic = "/base/odom" }', '"/odom"', "[topics.odometry] must be a table, got '/odom'"),
+        ("/base/odom", "/cmd_vel", "command: /cmd_vel is taken"),
+        ('topic = "/base/odom"', "scale = [nan, 1]", "[topics.odometry] scale must be finite"),
+        ("[topics]", "[topics.command]\nbest_effort = true\n[topics]", "command: best_effort"),
+        ("[facts]", "[facts]\nnotes = 3", "run.toml: [the run] facts: 'notes'"),
     ],
 )
 def test_a_fault_in_the_file_is_named(tmp_path, before, after, words):
     file = tmp_path / "run.toml"
     assert before in TOML
     file.write_text(TOML.replace(before, after))
-    with pytest.raises(ValueError, match=words.replace("[", r"\[")):
-        read_toml(file).core()
+    with pytest.raises(ValueError, match=re.escape(words)):
+        read_toml(file)
 
 
 def test_measures_join_those_of_a_virtual_study(node, tmp_path):
@@ -543,6 +596,24 @@ def test_another_frame_and_another_sender_are_noted(node, tmp_path):
     assert notes.count("command: 2 publishers send it") == 1
 
 
+def test_a_reference_in_another_frame_than_odometry_is_noted_once(node, tmp_path):
+    kind = "geometry_msgs/msg/PoseStamped"
+    reference = Topic("/reference", kind, ("pose.position.x", "pose.position.y"))
+    run = RunSettings(MODEL, "C1", settings=SHORT, topics={"path_error": reference})
+    allocation = Allocation(node, run, tmp_path / "a.mcap")
+    for k in range(40):
+        node.time += STEP
+        for topic in ("/operator/cmd_vel", "/autonomy/cmd_vel"):
+            node.send(topic, TWIST, linear__x=0.2)
+        node.send("/reference", kind, node.time, header__frame_id="" if k < 20 else "map")
+        node.send("/odom", "nav_msgs/msg/Odometry", node.time, header__frame_id="odom")
+    result = allocation.finish()
+    assert result.verified
+    notes = [note for note in result.session.metadata.more["notes"] if "'odom'" in note]
+    assert len(notes) == 1
+    assert "path_error: in frame 'map', odometry in 'odom'" in notes[0]
+
+
 def test_a_run_that_heard_nothing_leaves_its_messages_in_a_bag(node, tmp_path):
     allocation = Allocation(node, RunSettings(MODEL, "C1"), tmp_path / "a.mcap")
     node.send("/autonomy/cmd_vel", TWIST)
@@ -583,13 +654,13 @@ def _nth(rows, topic, count):
     return [k for k, row in enumerate(rows) if row[0] == topic][count]
 
 
-def _flip(rows, topic, number):
+def _flip(rows, topic, number, pack="<d"):
     """Flip the lowest bit of a number in the thirtieth message on a topic."""
     k = _nth(rows, topic, 30)
     *about, data = rows[k]
     spoiled = bytearray(data)
     value = number(fake_ros.STORE.deserialize_cdr(data, about[1]))
-    spoiled[spoiled.index(struct.pack("<d", value))] ^= 1
+    spoiled[spoiled.index(struct.pack(pack, value))] ^= 1
     rows[k] = (*about, bytes(spoiled))
 
 

@@ -50,6 +50,15 @@ def test_a_robot_of_another_vendor_is_driven(tmp_path):
     assert len(result.session) >= 80
 
 
+def test_a_run_without_a_session_fails(tmp_path):
+    with processes(tmp_path) as start:
+        for duration, code in ((1, 1), ("nan", 2)):
+            node = start("-m", "trustlab.ros", run_for_peer(tmp_path), "--duration", duration)
+            assert node.wait(120) == code
+    assert "never heard: odometry" in (tmp_path / "0.log").read_text()
+    assert "--duration must be positive, got nan" in (tmp_path / "1.log").read_text()
+
+
 @pytest.mark.long
 def test_the_robot_of_the_guide_is_driven_and_changes_hands(tmp_path):
     robot = [EXAMPLE / "simulated_robot.py"]

@@ -366,15 +366,18 @@ class LiveTracking(LiveWidget):
         self.scheme, loop = scheme_named(scheme), study_named(study)
         if task is not None:
             of_class("task", task, TrackingTask)
-        given = {"scheme": scheme, "study": study, "guidance": guidance, "delay": delay}
-        given |= {"task": task}
+        given = {"scheme": scheme, "study": study, "guidance": guidance, "task": task}
         parts = {name: part for name, part in given.items() if not isinstance(part, str | None)}
+        if delay is not None:
+            parts["delay"] = delay
         where = guidance.where if isinstance(guidance, Guidance) else guidance
         settings = TeleoperationSettings(duration=duration, study=loop.study, guidance=where)
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
         config = teleoperation.flight_config(settings.as_json(), self.scheme.name, seed, task=task)
-        # what parts of your own are recognized by after a restart of the kernel
-        names = {name: str(getattr(part, "__qualname__", part)) for name, part in parts.items()}
+        # What parts of your own are recognized by after a restart of the kernel, where they lie
+        # elsewhere in memory.
+        texts = {name: str(getattr(part, "__qualname__", part)) for name, part in parts.items()}
+        names = {name: re.sub(" at 0x[0-9a-f]+", "", text) for name, text in texts.items()}
         facts = {"scheme": self.scheme.title.replace("force feedback", "cues"), **FACTS}
         config |= {"parts": names, "facts": facts}
         super().__init__(teleoperation.task_of(**parts), config, participant, log, "en")
@@ -455,6 +458,7 @@ class LiveTeam(LiveWidget):
         settings = LeadingSettings() if settings is None else settings
         content = of_class("settings", settings, LeadingSettings).as_json()
         seed = whole_number("seed", seed, least=0, most=2**32 - 1)
-        config = team.team_config(content, condition, seed) | {"parts": parts}
+        config = team.team_config(content, condition, seed)
+        config |= {"parts": parts, "late": settings.least_delay}
         config["facts"] |= parts
         super().__init__(task, config, participant, log, language)

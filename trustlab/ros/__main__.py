@@ -3,8 +3,8 @@
 import argparse
 import gc
 import signal
+import sys
 import time
-from datetime import datetime
 from pathlib import Path
 
 from trustlab.ros.node import Allocation
@@ -20,6 +20,8 @@ def main() -> None:
     parser.add_argument("--folder", default="runs", help="where bag and session go")
     parser.add_argument("--duration", type=float, default=float("inf"), help="in seconds")
     options = parser.parse_args()
+    if not options.duration > 0.0:
+        parser.error(f"--duration must be positive, got {options.duration}")
     run = read_toml(options.run)
     folder = Path(options.folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -33,13 +35,14 @@ def main() -> None:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     node = rclpy.create_node("trustlab_allocation")
-    path = folder / f"{Path(options.run).stem}_{datetime.now():%Y%m%d-%H%M%S}.mcap"
+    path = folder / f"{Path(options.run).stem}_{time.strftime('%Y%m%d-%H%M%S')}.mcap"
     allocation = Allocation(node, run, path)
     executor = SingleThreadedExecutor()  # `rclpy.spin_once` adds and removes the node each time
     executor.add_node(node)
     gc.collect()
     gc.freeze()  # else the collector looks through all imports now and then, a tenth of a second
     end = time.monotonic() + options.duration
+    code = 0
     try:
         while time.monotonic() < end:
             executor.spin_once(timeout_sec=0.2)
@@ -50,7 +53,9 @@ def main() -> None:
             print(allocation.finish())
         except SessionError as error:
             print(f"{path}: {error}")
+            code = 1
         rclpy.shutdown()
+    sys.exit(code)
 
 
 def recover(folder: Path) -> None:
@@ -58,7 +63,7 @@ def recover(folder: Path) -> None:
     for path in sorted(folder.glob(f"*{LOG}")):
         try:
             print(f"of a run that was killed: {read_run(path, own_rules=True)}")
-        except ValueError as error:
+        except Exception as error:  # whatever is wrong with it, the next run goes on
             print(f"{path}: left as it is, {error}")
 
 

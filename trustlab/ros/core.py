@@ -15,7 +15,7 @@ import numpy as np
 
 from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.allocation.correction_run import OnlineCorrection
-from trustlab.allocation.rules import PerformanceRule, ThresholdRule, decision, prepared_rule
+from trustlab.allocation.rules import PerformanceRule, ThresholdRule, prepared_rule
 from trustlab.live.condition import given_thresholds
 from trustlab.models.checks import (
     Checked,
@@ -153,16 +153,16 @@ class CoreSettings(Checked):
         self.__dict__["watchdogs"] = usual | self.watchdogs
 
 
+@dataclass
 class Input:
     """The latest accepted message of one input; what is refused is passed to `note`."""
 
-    def __init__(self, name: str, watchdog: Watchdog, note: Callable[[str], None]):
-        self.name = name
-        self.watchdog = watchdog
-        self.note = note
-        self.stamp = -math.inf
-        self.values: Any = None
-        self.silent = False
+    name: str
+    watchdog: Watchdog
+    note: Callable[[str], None]
+    stamp: float = -math.inf
+    values: Any = None
+    silent: bool = False
 
     def take(self, stamp: float, values: tuple[float, ...], now: float) -> bool:
         """Take a message over, or note its fault and return False."""
@@ -297,16 +297,26 @@ class AllocationCore:
         correction: ThresholdCorrector | None = None,
         settings: CoreSettings | None = None,
     ):
-        self.model = of_class("model", model, TscModel, TscModel.how_to_get)
-        self.settings = settings or CoreSettings()
-        of_class("settings", self.settings, CoreSettings)
+        self.model = of_class("model", model, TscModel)
+        settings = CoreSettings() if settings is None else settings
+        self.settings = of_class("settings", settings, CoreSettings)
         if (condition is None) == (rule is None):
             raise ValueError("AllocationCore needs one of these: a condition, C1 to C5, or a rule")
         self.condition = condition
-        self.rule, self.forced = _rule_of(model, condition, thresholds)
+        self.rule: Any = None
         self.mode: float = 1
+        self.forced = True
         if rule is not None:
             self.rule, self.mode = prepared_rule(rule, None)
+            if thresholds is not None:
+                raise ValueError("thresholds have no effect beside a rule; leave them out")
+        else:
+            _, self.forced = CONDITIONS[one_of("condition", condition, CONDITIONS)]
+            if given_thresholds(condition, thresholds) is not None:
+                lower, upper = thresholds
+                self.rule = ThresholdRule(lower, upper)
+            elif condition != "C1":
+                self.rule = PerformanceRule(model.robot.p_min, model.robot.p_max)
         self.correction = None
         if correction is not None:
             of_class("correction", correction, ThresholdCorrector)
@@ -321,7 +331,7 @@ class AllocationCore:
         self.notes: list[tuple[float, str]] = []
         self.kinds = Counter()
         self.now = -math.inf
-        self.last_step: float | None = None
+        self.last_step = math.nan
         self.stopped = False
         self.command = (0.0, 0.0)
         self.rows: list[tuple] = []
@@ -460,51 +470,48 @@ class AllocationCore:
         ValueError
             If the clock is not finite.
         """
-        previous = self.now
-        self.now = finite_number("now", now)
-        if now < previous:
-            self.now = previous
-            self.note(f"clock went back by {previous - now:.3g} s")
-        elapsed = self.settings.period if self.last_step is None else self.now - self.last_step
+        now = finite_number("now", now)
+        if now < self.now:
+            self.note(f"clock went back by {self.now - now:.3g} s")
+        self.now = max(self.now, now)
+        elapsed = self.now - self.last_step  # NaN in the first step
         if elapsed > LATE_STEP * self.settings.period:
             self.note(f"step late: {elapsed:.3g} s after the one before")
         self.last_step = self.now
         silent = {name for name, entry in self.inputs.items() if entry.watch(self.now)}
         lower = getattr(self.rule, "lower", math.nan)
         upper = getattr(self.rule, "upper", math.nan)
-        tsc = math.nan
-        suggestion = -1
-        if self.heard:
-            tsc, suggestion = self._measured(silent)
+        tsc, suggestion = self._measured(silent) if self.heard else (math.nan, -1)
         share = self._share(silent)
         # Steps made up for after a gap come at once, and together change the command by no more
         # than one does.
-        self.command = self._bounded(share, min(elapsed, self.settings.period))
+        self.command = self._bounded(share, min(self.settings.period, elapsed))
         driver = _DRIVERS.get(share, "both")
         return Decision(*self.command, driver, self.mode, suggestion, tsc, lower, upper)
 
     def _measured(self, silent: set[str]) -> tuple[float, int]:
         """Measure performance, ask the rule unless an input is silent, and log the sample."""
         settings = self.settings
-        distance = self._distance()
-        error = np.array(self.inputs["path_error"].values)
-        v, w = self.inputs["operator"].values
-        speed = goal_speed(np.array([distance]), error, settings.period, settings.e_max)
-        self.speeds += speed.tolist()
-        self.skills += manoeuvring(np.array([v]), np.array([w]), error, settings.e_max).tolist()
+        error, command = self.inputs["path_error"].values, self.inputs["operator"].values
+        measured = (*error, self._distance(), *command)
+        error, distance, v, w = np.array([measured]).T
+        self.speeds += goal_speed(distance, error, settings.period, settings.e_max).tolist()
+        self.skills += manoeuvring(v, w, error, settings.e_max).tolist()
         p_r = math.fsum(self.speeds) / len(self.speeds)
         p_h = math.fsum(self.skills) / len(self.skills)
         tsc = float(self.model.value(p_r, p_h))
         suggestion = -1
         waited = len(self.rows) * settings.period >= settings.wait
-        if waited and not silent and not self.stopped:
+        if waited and not (silent or self.stopped):
             try:
                 suggestion = self._asked(tsc, p_r, p_h)
-            except ValueError as fault:
-                self.note(f"{fault}; the robot is stopped")
+            except Exception as error:
+                self.note(
+                    f"rule.step failed at t = {self.now:g} s: {type(error).__name__}: {error}; "
+                    "the robot is stopped"
+                )
                 self.stopped = True
-        row = (self.mode, p_r, p_h, tsc, self.r, *error.tolist(), distance, v, w, suggestion)
-        self.rows.append(row)
+        self.rows.append((self.mode, p_r, p_h, tsc, self.r, *measured, suggestion))
         self.r = next_utilization.py_func(self.r, self.mode, self.a_r)  # (2.5)
         return tsc, suggestion
 
@@ -524,26 +531,17 @@ class AllocationCore:
         """Ask rule and correction; change the mode where the rule allocates, else suggest one."""
         if self.rule is None:
             return -1
-        where = f"t = {self.now:g} s"
-        if self.condition is None:
-            try:
-                share = self.rule.step(tsc=tsc, p_r=p_r)
-                if share is not None:
-                    self.mode = between("the operator's share", float(share), 0.0, 1.0)
-            except Exception as error:
-                name = type(error).__name__
-                raise ValueError(f"rule.step failed at {where}: {name}: {error}") from error
-            return -1
         if isinstance(self.rule, ThresholdRule) and not self.forced:
             self.rule.mode = int(self.mode)  # hysteresis goes with the mode that the button chose
-        mode = decision(self.rule, where, tsc, p_r)
+        mode = self.rule.step(tsc=tsc, p_r=p_r)
         if mode is not None and self.forced:
-            self.mode = mode
-        if self.correction is not None and len(self.rows) % self.correct_every == 0:
-            self.correction.r = self.r
-            self.correction.update(p_r, p_h, int(self.mode))
-            now = self.correction
-            self.rule.lower, self.rule.upper = now.lower, now.upper  # for the next step
+            mode = self.mode = between("the operator's share", float(mode), 0.0, 1.0)
+        correction = self.correction
+        if correction is not None and len(self.rows) % self.correct_every == 0:
+            correction.r = self.r
+            correction.update(p_r, p_h, int(self.mode))
+            # for the next step
+            self.rule.lower, self.rule.upper = correction.lower, correction.upper
         return -1 if mode is None or mode == self.mode else mode
 
     def _share(self, silent: set[str]) -> float | None:
@@ -598,29 +596,15 @@ class AllocationCore:
             reason = f"; never heard: {', '.join(unheard)}" if unheard else ""
             raise SessionError(f"a session needs two samples, logged {len(self.rows)}{reason}")
         t = [k * self.settings.period for k in range(len(self.rows))]
-        frame = pd.DataFrame(self.rows, columns=list(COLUMNS), index=t)
+        frame = pd.DataFrame(self.rows, columns=COLUMNS, index=t)
         notes = [f"{when:.6f} s: {text}" for when, text in self.notes]
-        more = {kind: count - MOST_NOTES for kind, count in self.kinds.items()}
-        notes += [f"{count} more: {kind}" for kind, count in more.items() if count > 0]
+        kinds = self.kinds.items()
+        notes += [f"{n - MOST_NOTES} more: {kind}" for kind, n in kinds if n > MOST_NOTES]
         window = self.settings.window
-        metadata = Metadata(condition=self.condition, source="trustlab.ros.AllocationCore")
-        # Fits look there.
-        measured = {"performance": f"(2.4), window {window:g} s", "performance_window": window}
-        return Session(frame, metadata.changed(notes=notes, **measured, **facts))
-
-
-def _rule_of(
-    model: TscModel, condition: str | None, thresholds: tuple[float, float] | None
-) -> tuple[Any, bool]:
-    """Return the rule of a condition, and whether it allocates at once."""
-    if condition is None:
-        if thresholds is not None:
-            raise ValueError("thresholds have no effect beside a rule; leave them out")
-        return None, True
-    _, forced = CONDITIONS[one_of("condition", condition, CONDITIONS)]
-    pair = given_thresholds(condition, thresholds)
-    if pair is not None:
-        return ThresholdRule(*pair), forced
-    if condition == "C1":
-        return None, False
-    return PerformanceRule(model.robot.p_min, model.robot.p_max), forced
+        metadata = Metadata(condition=self.condition, source="trustlab.ros.AllocationCore").changed(
+            notes=notes,
+            performance=f"(2.4), window {window:g} s",
+            performance_window=window,  # where fits look
+            **facts,
+        )
+        return Session(frame, metadata)

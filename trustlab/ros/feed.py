@@ -1,6 +1,7 @@
 """From messages to the decision core: the same for a robot's node and for the replay of a run."""
 
 import math
+from dataclasses import dataclass, field
 from typing import Any
 
 from trustlab.ros.core import AHEAD, FIELDS, AllocationCore
@@ -10,6 +11,7 @@ from trustlab.ros.run import CLOCK, NOTE, RunSettings
 END = "the run ends"
 
 
+@dataclass
 class Feed:
     """
     Hands messages on topics to a core.
@@ -18,18 +20,14 @@ class Feed:
     that it never steps; what the computer's clock is ahead of it stands on a topic of the run.
     """
 
-    def __init__(self, run: RunSettings, core: AllocationCore, start: int):
-        self.run = run
-        self.core = core
-        self.start = start
-        self.ahead = 0
-        self.ended = False
-        self.down: dict[str, bool] = {}
-        self.frames: dict[str, str] = {}
-        self.names: dict[str, list[str]] = {}
-        for name, topic in run.topics.items():
-            if name != "command":
-                self.names.setdefault(topic.topic, []).append(name)
+    run: RunSettings
+    core: AllocationCore
+    start: int
+    ahead: int = 0
+    ended: bool = False
+    apart: bool = False
+    down: dict[str, bool] = field(default_factory=dict)
+    frames: dict[str, str] = field(default_factory=dict)
 
     def seconds(self, now: int) -> float:
         """Return a time of the run's clock since the start [s]."""
@@ -38,18 +36,19 @@ class Feed:
     def hear(self, topic: str, message: Any, now: int) -> list[str]:
         """Hand a message on and return the names of the inputs that took it over."""
         if topic == CLOCK:
-            self._set_clock(message.data)
+            step = (message.data - self.ahead) / 1e9
+            if abs(step) > AHEAD:
+                self.core.rest(f"the computer's clock steps by {step:.3g} s")
+            self.ahead = message.data
         elif topic == NOTE:
             self.ended = message.data == END
             if not self.ended:
                 self.core.note(message.data)
-        return [name for name in self.names.get(topic, ()) if self._taken(name, message, now)]
-
-    def _set_clock(self, ahead: int) -> None:
-        step = (ahead - self.ahead) / 1e9
-        if abs(step) > AHEAD:
-            self.core.rest(f"the computer's clock steps by {step:.3g} s")
-        self.ahead = ahead
+        return [
+            name
+            for name, source in self.run.topics.items()
+            if source.topic == topic and self._taken(name, message, now)
+        ]
 
     def _taken(self, name: str, message: Any, now: int) -> bool:
         source = self.run.topics[name]
@@ -69,16 +68,19 @@ class Feed:
             place = self.core.inputs["odometry"].values
             if place is None:
                 return False
+            other = self.frames["odometry"]
+            if frame and other and frame != other and not self.apart:
+                self.apart = True
+                self.core.note(f"{name}: in frame {frame!r}, odometry in {other!r}")
             numbers = (math.dist(place, numbers),)
         return self.core.hear(name, self.stamp(name, message, now), numbers, self.seconds(now))
 
     def stamp(self, name: str, message: Any, now: int) -> float:
         """Return when an input's message was measured, by its header or its arrival [s]."""
         header = getattr(message, "header", None)
-        if self.run.topics[name].stamp == "receive" or header is None:
-            return self.seconds(now)
-        stamp = header.stamp.sec * 10**9 + header.stamp.nanosec
-        return self.seconds(stamp - self.ahead)
+        if header is not None and self.run.topics[name].stamp == "header":
+            now = header.stamp.sec * 10**9 + header.stamp.nanosec - self.ahead
+        return self.seconds(now)
 
     def _press(self, name: str, down: bool) -> None:
         """Act when a button is pressed or, of the one that chooses the mode, moved."""

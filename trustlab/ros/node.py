@@ -5,8 +5,8 @@ import queue
 import threading
 from collections.abc import Callable
 from functools import partial
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from time import monotonic_ns
 from typing import Any
 
@@ -101,6 +101,9 @@ class Allocation:
         self.noted = 0
         self.senders = 1
         self.classes = {topic: _class(kind) for topic, kind in run.types().items()}
+        *inputs, self.command = run.topics.values()
+        # Refuses a type without the fields, before anything is sent.
+        self.command.numbers(self.classes[self.command.topic]())
         self.recorder = Recorder(Path(path).with_suffix(LOG), node.get_logger().error)
         self.began = monotonic_ns()
         self.last = node.get_clock().now().nanoseconds
@@ -108,10 +111,9 @@ class Allocation:
         self._record(RUN, data=json.dumps(run.tables()))
         self.publishers = {
             topic: node.create_publisher(self.classes[topic], topic, 1)
-            for topic in (run.topics["command"].topic, *STATES)
+            for topic in (self.command.topic, *STATES)
         }
-        for topic, names in self.feed.names.items():
-            best_effort = run.topics[names[0]].best_effort
+        for topic, best_effort in {each.topic: each.best_effort for each in inputs}.items():
             policy = ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE
             profile = QoSProfile(depth=50, reliability=policy)
             heard = partial(self._heard, topic)
@@ -130,10 +132,10 @@ class Allocation:
             now = self.feed.start + monotonic_ns() - self.began
         self.last = max(self.last + 1, now)
         ahead = time - self.last
-        if abs(ahead - self.feed.ahead) > SLEW:
-            stepped = abs(ahead - self.feed.ahead) > AHEAD * 1e9
+        step = abs(ahead - self.feed.ahead)
+        if step > SLEW:
             self._record(CLOCK, data=ahead)
-            if stepped:
+            if step > AHEAD * 1e9:
                 self._send(0.0, 0.0)
         return self.last
 
@@ -174,7 +176,7 @@ class Allocation:
     def _tick(self) -> None:
         """Step where odometry is missing, so that watchdogs act; look for others who command."""
         now = self._now()
-        senders = self.node.count_publishers(self.run.topics["command"].topic)
+        senders = self.node.count_publishers(self.command.topic)
         if senders > self.senders:
             self._record(NOTE, data=f"command: {senders} publishers send it, not this one alone")
         self.senders = max(senders, 1)
@@ -186,7 +188,7 @@ class Allocation:
 
     def _step(self, now: int) -> None:
         decision = self.core.step(self.feed.seconds(now))
-        self._record(self.run.topics["command"].topic, self._send(decision.v, decision.w))
+        self._record(self.command.topic, self._send(*self.core.command))
         for topic, name in STATES.items():
             state = self.classes[topic](data=float(getattr(decision, name)))
             self.publishers[topic].publish(state)
@@ -199,13 +201,12 @@ class Allocation:
 
     def _send(self, *values: float) -> Any:
         """Publish a command and return its message."""
-        topic = self.run.topics["command"]
-        command = self.classes[topic.topic]()
+        command = self.classes[self.command.topic]()
+        self.command.fill(command, values)
         if hasattr(command, "header"):
             stamp = command.header.stamp
             stamp.sec, stamp.nanosec = divmod(self.last + self.feed.ahead, 10**9)
-        topic.fill(command, values)
-        self.publishers[topic.topic].publish(command)
+        self.publishers[self.command.topic].publish(command)
         return command
 
     def finish(self) -> RobotRun:
@@ -230,8 +231,7 @@ class Allocation:
 
 def _class(kind: str) -> Any:
     """Return the class of a type of messages, as "nav_msgs/msg/Odometry"."""
-    package, _, name = kind.partition("/msg/")
     try:
-        return getattr(import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError) as error:
+        return resolve_name(kind.replace("/msg/", ".msg:"))
+    except (ImportError, AttributeError, ValueError) as error:
         raise ValueError(f"there is no ROS message {kind}: {error}") from None

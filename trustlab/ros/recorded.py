@@ -85,9 +85,12 @@ def read_run(path: str | Path, run: RunSettings | None = None, own_rules: bool =
     Raises
     ------
     SessionError
-        If the file is damaged, fewer than two samples were logged, or the bag names a rule.
+        If the file is missing or damaged, fewer than two samples were logged, or the bag names a
+        rule.
     """
     path = Path(path)
+    if not path.is_file():
+        raise SessionError(f"there is no file {path}")
     if path.suffix == LOG:
         return finish_run(path, run, own_rules)
     with damage_named(f"{path} is not the whole bag of a run", "read its log, if there is one"):
@@ -147,7 +150,7 @@ class Replay:
         with extra("ros"):
             from rosbags.typesys import Stores, get_typestore
 
-        store = get_typestore(Stores.ROS2_HUMBLE)
+        self.store = store = get_typestore(Stores.ROS2_HUMBLE)
         if not messages or messages[0][0] != RUN:
             raise SessionError("no run is recorded here; remove the file")
         _, start, data = messages[0]
@@ -173,8 +176,9 @@ class Replay:
         if topic == command.topic:
             self.times.append(self.feed.seconds(now))
             self.decisions.append(self.core.step(self.times[-1]))
-            sent = command.numbers(message)
-            self.same &= sent == (self.decisions[-1].v, self.decisions[-1].w)
+            sent = self.store.serialize_cdr(message, command.type)
+            command.fill(message, self.core.command)
+            self.same &= sent == self.store.serialize_cdr(message, command.type)
         elif topic in STATES:
             state = getattr(self.decisions[-1], STATES[topic])
             self.same &= message.data == state or state != state
@@ -183,8 +187,8 @@ class Replay:
 
     def session(self) -> Session:
         """Return the session of what was heard, with the link of the last message."""
-        ended = self.feed.ended
-        return self.core.session(**self.run.facts, interrupted=not ended, log=self.link)
+        end = self.feed.ended
+        return self.core.session(**self.run.facts, interrupted=not end, log=self.link)
 
 
 def measures_table(runs: Iterable[RobotRun]) -> pd.DataFrame:
@@ -204,9 +208,9 @@ def measures_table(runs: Iterable[RobotRun]) -> pd.DataFrame:
     rows = []
     count: Counter = Counter()
     for run in runs:
-        about = run.session.metadata
-        count[about.participant] += 1
-        facts: dict = {"participant": about.participant, "position": count[about.participant]}
-        facts |= {"condition": about.condition, "synthetic": about.synthetic}
-        rows.append(facts | run.measures)
+        about = run.session.metadata.as_dict()
+        count[about["participant"]] += 1
+        about["position"] = count[about["participant"]]
+        facts = ("participant", "position", "condition", "synthetic")
+        rows.append({name: about[name] for name in facts} | run.measures)
     return pd.DataFrame(rows)

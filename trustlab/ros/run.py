@@ -5,20 +5,22 @@ import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from trustlab.allocation.correction import ThresholdCorrector
-from trustlab.models.checks import Checked, one_of
+from trustlab.allocation.limits import threshold_pair
+from trustlab.models.checks import Checked, finite_array, one_of, shown
 from trustlab.models.published import published_models
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 from trustlab.ros.core import FIELDS, AllocationCore, CoreSettings, Watchdog
 from trustlab.sessions.patterns import FieldPath
+from trustlab.sessions.session import Metadata, metadata_to_json
 
 
 @dataclass(frozen=True)
-class Topic:
+class Topic(Checked):
     """
     A topic of a run.
 
@@ -40,7 +42,7 @@ class Topic:
     Raises
     ------
     ValueError
-        If a field path cannot be read, or the stamp is unknown.
+        If a field path cannot be read, the stamp is unknown, or a scale is no number.
     """
 
     topic: str
@@ -51,17 +53,19 @@ class Topic:
     best_effort: bool = False
 
     def __post_init__(self):
+        super().__post_init__()
         one_of("stamp", self.stamp, ("header", "receive"))
+        if self.scale:
+            finite_array("scale", self.scale, length=len(self.fields))
         self.__dict__.update(fields=tuple(self.fields), scale=tuple(self.scale))
-        if self.scale and len(self.scale) != len(self.fields):
-            raise ValueError(f"{self.topic}: {len(self.fields)} fields, {len(self.scale)} scales")
-        for text in self.fields:
-            FieldPath(text)  # refuses one that cannot be read
+        _ = self.places  # refuses a path that cannot be read
 
     @cached_property
-    def paths(self) -> list[list]:
-        """The steps that lead to each field."""
-        return [FieldPath(text).steps for text in self.fields]
+    def places(self) -> list[tuple[list, float]]:
+        """The steps that lead to each field, and its scale."""
+        scales = self.scale or (1.0,) * len(self.fields)
+        paths = [FieldPath(text).steps for text in self.fields]
+        return list(zip(paths, scales, strict=True))
 
     def numbers(self, message: Any) -> tuple[float, ...]:
         """
@@ -77,12 +81,10 @@ class Topic:
         ValueError
             If the message has no number there.
         """
-        scales = self.scale or (1.0,) * len(self.fields)
         try:
-            numbers = [float(_part(message, steps)) for steps in self.paths]
+            return tuple(scale * float(_part(message, steps)) for steps, scale in self.places)
         except (AttributeError, IndexError, TypeError, ValueError) as error:
             raise ValueError(f"no number at {', '.join(self.fields)} ({error})") from None
-        return tuple(scale * number for scale, number in zip(scales, numbers, strict=True))
 
     def fill(self, message: Any, values: tuple[float, ...]) -> None:
         """
@@ -95,8 +97,8 @@ class Topic:
         values : tuple of float
             One for each field.
         """
-        for (*steps, name), value in zip(self.paths, values, strict=True):
-            setattr(_part(message, steps), name, value)
+        for ((*steps, name), scale), value in zip(self.places, values, strict=True):
+            setattr(_part(message, steps), name, scale * value)
 
 
 def _part(message: Any, steps: Iterable) -> Any:
@@ -111,23 +113,37 @@ def _part(message: Any, steps: Iterable) -> Any:
 RUN = "/allocation/run"
 NOTE = "/allocation/note"
 CLOCK = "/allocation/clock"
-OWN_TYPES = {RUN: "std_msgs/msg/String", NOTE: "std_msgs/msg/String", CLOCK: "std_msgs/msg/Int64"}
 # What is published and recorded beside the command, as Float64: fields of a `Decision`.
 STATES = {f"/allocation/{name}": name for name in ("mode", "tsc", "suggestion", "lower", "upper")}
-_TWIST = ("linear.x", "angular.z")
 FLOAT = "std_msgs/msg/Float64"
+OWN_TYPES = {RUN: "std_msgs/msg/String", NOTE: "std_msgs/msg/String", CLOCK: "std_msgs/msg/Int64"}
+OWN_TYPES |= dict.fromkeys(STATES, FLOAT)
+_TWIST = ("geometry_msgs/msg/Twist", ("linear.x", "angular.z"))
+_BOOL = ("std_msgs/msg/Bool", ("data",))
 # By name, what a run listens to and where its command goes.
 TOPICS = {
     "odometry": Topic(
         "/odom", "nav_msgs/msg/Odometry", ("pose.pose.position.x", "pose.pose.position.y")
     ),
-    "operator": Topic("/operator/cmd_vel", "geometry_msgs/msg/Twist", _TWIST),
-    "autonomy": Topic("/autonomy/cmd_vel", "geometry_msgs/msg/Twist", _TWIST),
+    "operator": Topic("/operator/cmd_vel", *_TWIST),
+    "autonomy": Topic("/autonomy/cmd_vel", *_TWIST),
     "path_error": Topic("/path_error", FLOAT, ("data",)),
-    "button": Topic("/operator/manual", "std_msgs/msg/Bool", ("data",)),
-    "stop": Topic("/operator/stop", "std_msgs/msg/Bool", ("data",)),
-    "release": Topic("/operator/release", "std_msgs/msg/Bool", ("data",)),
-    "command": Topic("/cmd_vel", "geometry_msgs/msg/Twist", _TWIST),
+    "button": Topic("/operator/manual", *_BOOL),
+    "stop": Topic("/operator/stop", *_BOOL),
+    "release": Topic("/operator/release", *_BOOL),
+    "command": Topic("/cmd_vel", *_TWIST),
+}
+
+
+# What a run itself writes into the metadata of its session.
+WRITTEN = {
+    "condition",
+    "source",
+    "notes",
+    "performance",
+    "performance_window",
+    "interrupted",
+    "log",
 }
 
 
@@ -152,12 +168,12 @@ class RunSettings(Checked):
     topics : mapping of str to Topic
         Those that differ from `TOPICS`, by name.
     facts : mapping
-        Metadata of the session: participant, synthetic, and any other name.
+        Metadata of the session: participant, synthetic, and any name that the run does not write.
 
     Raises
     ------
     ValueError
-        If a topic is unknown.
+        If a topic is unknown or taken, or a fact cannot be written.
 
     Examples
     --------
@@ -178,13 +194,27 @@ class RunSettings(Checked):
 
     def __post_init__(self):
         super().__post_init__()
-        for name, topic in self.topics.items():
-            one_of("topics", name, TOPICS)
-            usual = len(TOPICS[name].fields)
-            counts = (1, 2) if name == "path_error" else (usual,)
-            if len(topic.fields) not in counts:
-                raise ValueError(f"{name} needs {usual} fields, got {len(topic.fields)}")
+        # Refuses what a file cannot hold.
+        metadata_to_json(_made(Metadata().changed, "facts", self.facts))
+        for name in WRITTEN & set(self.facts):
+            raise ValueError(f"facts: {name!r} is written by the run itself; choose another name")
+        if self.thresholds is not None:
+            self.__dict__["thresholds"] = threshold_pair("threshold", self.thresholds)
         self.__dict__["topics"] = {**TOPICS, **self.topics}
+        taken = dict.fromkeys(OWN_TYPES)
+        for name, topic in self.topics.items():
+            usual = len(TOPICS[one_of("topics", name, TOPICS)].fields)
+            most = 2 if name == "path_error" else usual
+            if not usual <= len(topic.fields) <= most:
+                raise ValueError(f"{name} needs {usual} fields, got {topic.fields}")
+            use = name == "command", topic.type, topic.best_effort
+            if taken.setdefault(topic.topic, use) != use:
+                raise ValueError(
+                    f"{name}: {topic.topic} is taken; inputs of one type and best_effort alone "
+                    "share a topic"
+                )
+        if topic.best_effort or topic.stamp != "header":  # of the command, the last one
+            raise ValueError("command: best_effort and stamp have no effect; leave them out")
 
     @classmethod
     def of(cls, tables: Mapping, folder: Path = Path()) -> "RunSettings":
@@ -206,22 +236,19 @@ class RunSettings(Checked):
             If a name or a value is not understood.
         """
         values = {name: value for name, value in tables.items() if value is not None}
-        settings = dict(values.pop("settings", {}))
-        settings["watchdogs"] = {
-            name: _made(Watchdog, f"settings.watchdogs.{name}", table)
-            for name, table in settings.pop("watchdogs", {}).items()
-        }
-        model, sample_time = _model_of(values.pop("model", {}), folder)
-        if sample_time is not None:
-            settings.setdefault("model_sample_time", sample_time)
-        topics = {}
-        for name, table in values.pop("topics", {}).items():
+        for name in ("model", "settings", "topics"):
+            values[name] = _made(dict, name, values.get(name, {}))
+        settings, topics = values["settings"], values["topics"]
+        watchdogs = _made(dict, "settings.watchdogs", settings.get("watchdogs", {}))
+        for name, table in watchdogs.items():
+            watchdogs[name] = _made(Watchdog, f"settings.watchdogs.{name}", table)
+        values["model"], fitted = _model_of(values["model"], folder)
+        for name, table in topics.items():
             changed = partial(dataclasses.replace, TOPICS[one_of("[topics]", name, TOPICS)])
             topics[name] = _made(changed, f"topics.{name}", table)
-        if "thresholds" in values:
-            values["thresholds"] = tuple(values["thresholds"])
-        core = _made(CoreSettings, "settings", settings)
-        return _made(cls, "the run", values | {"model": model, "topics": topics, "settings": core})
+        settings = fitted | settings | {"watchdogs": watchdogs}
+        values["settings"] = _made(CoreSettings, "settings", settings)
+        return _made(cls, "the run", values)
 
     def tables(self) -> dict:
         """Return the run as plain tables; of a rule without a name nothing is left."""
@@ -230,16 +257,15 @@ class RunSettings(Checked):
 
     def types(self) -> dict[str, str]:
         """Return the types of the messages of every topic recorded."""
-        named = {topic.topic: topic.type for topic in self.topics.values()}
-        return OWN_TYPES | dict.fromkeys(STATES, FLOAT) | named
+        return OWN_TYPES | {topic.topic: topic.type for topic in self.topics.values()}
 
     def core(self) -> AllocationCore:
         """Return a decision core for one run, with everything compiled that it will call."""
-        correction = None
-        if self.correction is not None:
-            corrector = partial(ThresholdCorrector, self.model)
-            correction = _made(corrector, "correction", self.correction)
-        rule = _imported(self.rule)() if isinstance(self.rule, str) else self.rule
+        rule, correction = self.rule, self.correction
+        if correction is not None:
+            correction = _made(partial(ThresholdCorrector, self.model), "correction", correction)
+        if isinstance(rule, str):
+            rule = _made(_imported(rule), "rule", {})
         allocation = self.model, self.condition, self.thresholds, rule, correction
         trial = AllocationCore(*allocation, dataclasses.replace(self.settings, wait=0.0))
         for name, fields in FIELDS.items():
@@ -266,20 +292,23 @@ def read_toml(path: str | Path) -> RunSettings:
     Raises
     ------
     ValueError
-        If it is no TOML, or a table is not understood; the error names the file.
+        If it is no TOML, a table is not understood, or no core can be made of it; the error names
+        the file.
     """
     path = Path(path)
     try:
-        return RunSettings.of(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
-    except (ValueError, OSError) as error:
+        run = RunSettings.of(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
+        run.core()
+        return run
+    except (ValueError, OSError, TypeError, AttributeError) as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _model_of(table: Mapping, folder: Path) -> tuple[Any, float | None]:
-    """Return the model of a run, and its sample time where it is fitted to a session."""
+def _model_of(table: Mapping, folder: Path) -> tuple[Any, dict]:
+    """Return the model of a run, and the setting that goes with one fitted to a session."""
     if set(table) == {"published"}:
         models = published_models()
-        return models[one_of("model.published", str(table["published"]), models)], None
+        return models[one_of("model.published", str(table["published"]), models)], {}
     if set(table) == {"session"}:
         from trustlab.identification.tsc import fit_tsc
         from trustlab.sessions.reading import read_session
@@ -288,28 +317,32 @@ def _model_of(table: Mapping, folder: Path) -> tuple[Any, float | None]:
         fit = fit_tsc(session)
         if not fit.success:
             raise ValueError(f"{table['session']} gives no model: {fit.message}")
-        return fit.model, session.sample_time
+        return fit.model, {"model_sample_time": session.sample_time}
     if set(table) != {"human", "robot"}:
         raise ValueError(
             "model needs published, session, or human and robot; got "
             f"{', '.join(table) or 'nothing'}"
         )
     robot = _made(RobotModel, "model.robot", table["robot"])
-    return TscModel(robot, _made(HumanModel, "model.human", table["human"])), None
+    return TscModel(robot, _made(HumanModel, "model.human", table["human"])), {}
 
 
 def _made(kind: Callable, where: str, table: Mapping) -> Any:
     """Return an object from a table of its arguments, of which none is unknown or missing."""
+    if not isinstance(table, Mapping):
+        raise ValueError(f"[{where}] must be a table, got {shown(table)}")
     try:
         return kind(**table)
-    except TypeError as error:
+    except (TypeError, ValueError) as error:
         raise ValueError(f"[{where}] {error}") from None
 
 
 def _imported(name: str) -> Any:
     """Return what "module:name" names."""
-    module, _, attribute = name.partition(":")
     try:
-        return getattr(import_module(module), attribute)
+        return resolve_name(name)
     except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"{name!r} must be module:name of something to import: {error}") from None
+        raise ValueError(
+            f"rule = {name!r} must be module:name of something to import, from the folder where "
+            f"Python was started for example: {error}"
+        ) from None
