@@ -311,6 +311,23 @@ def field_checks(kind: type) -> dict[str, Callable[[str, Any], Any]]:
     return {name: check for name, check in known.items() if check}
 
 
+def refuse_changed(record: Any, own: Any, what: str, *names: str) -> None:
+    """Refuse fields that are not as usual where a function of one's own takes their place."""
+    for name in names if callable(own) else ():
+        if getattr(record, name) != getattr(type(record), name):
+            raise ValueError(f"{name} would do nothing beside {what} of one's own")
+
+
+def changes(record: Any, usual: Any) -> str:
+    """Return "name = value, …" of the fields in which a record is not as usual."""
+    pairs = {field.name: getattr(record, field.name) for field in fields(record)}
+    return ", ".join(
+        f"{name} = {'a function' if callable(value) else shown(value)}"
+        for name, value in pairs.items()
+        if repr(value) != repr(getattr(usual, name))
+    )
+
+
 def _check_of(hint: Any) -> Callable[[str, Any], Any] | None:
     """Return what checks values of an annotation; None where it says nothing."""
     first, *others = get_args(hint) or (hint,)

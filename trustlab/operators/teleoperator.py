@@ -14,6 +14,7 @@ from trustlab.models.checks import (
     Share,
     check_participant,
     one_of,
+    refuse_changed,
 )
 from trustlab.models.simulation import filled
 from trustlab.teleoperation.loop.kernel import LAWS
@@ -150,10 +151,8 @@ class Teleoperator(Checked):
         check_participant(self.participant)
         if not callable(self.law):
             one_of("law", self.law, LAWS, also="a function of the state")
-            return
-        for name in ("proportional", "derivative", "crossover", "adaptation"):
-            if getattr(self, name) != getattr(type(self), name):
-                raise ValueError(f"{name} would do nothing beside a law of one's own")
+        gains = "proportional", "derivative", "crossover", "adaptation"
+        refuse_changed(self, self.law, "a law", *gains, "reach", "compensation", "allocation_cost")
 
     def numbers(self, sample_time: float, camera_delay: float) -> np.void:
         """

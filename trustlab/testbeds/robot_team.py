@@ -397,12 +397,13 @@ class TeamLoop(Loop):
         DivergenceError
             If the run grows without bound.
         """
+        able = self._able()
+        if leader not in (None, *able):
+            raise ValueError(f"leader must be one of {able}, got {leader!r}")
+        stop = self._held(whole_number("samples", samples), hand)
         if leader is not None:
-            able = self._able()
-            if leader not in able:
-                raise ValueError(f"leader must be one of {able}, got {leader!r}")
             self._named = self.robots.index(leader)
-        self._advance_by(whole_number("samples", samples), hand)
+        self._advance(stop)
         return self.state
 
     # --- decisions --------------------------------------------------------------------------------
@@ -486,7 +487,7 @@ class TeamLoop(Loop):
     def so_far(self) -> TeamRun:
         """Return the run so far."""
         run, T = self.simulation, self._trial.sample_time
-        rows = np.arange(0, run.done, self._trial.samples_per_row)
+        rows = np.arange(0, self._done, self._trial.samples_per_row)
         graphs = run.inputs["graph"][rows]
         states = run.log.table[: rows.size].view(float).reshape(rows.size, -1)
         table = states[:, : len(kernel.COLUMNS)].copy()
