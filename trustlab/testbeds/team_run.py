@@ -50,6 +50,8 @@ class TeamRun(Result):
         q_i at the recorded times [m]; NaN while a robot is not in the team.
     trust : numpy.ndarray, shape (K, N)
         Human-to-robot trust (4.1) in every robot.
+    switches : numpy.ndarray
+        Times at which another robot took over [s], recorded or not.
     budget : float
         β_h of (4.30) [J].
     tolerance : float
@@ -64,6 +66,7 @@ class TeamRun(Result):
     data: pd.DataFrame
     positions: np.ndarray
     trust: np.ndarray
+    switches: np.ndarray
     budget: float
     tolerance: float
     facts: dict
@@ -111,11 +114,6 @@ class TeamRun(Result):
     def operator_passive(self) -> bool:
         """Whether V_h ≥ −β_h held throughout (4.30)."""
         return bool(self.data["v_h"].min() >= -self.budget)
-
-    @property
-    def switches(self) -> np.ndarray:
-        """Times at which another robot took over [s]."""
-        return self.t[1:][np.diff(self.data["number"]) != 0.0]
 
     @property
     def title(self) -> str:
