@@ -1,5 +1,6 @@
 """The loop of teleoperation, stepped and at once, and figures of its runs."""
 
+from dataclasses import replace
 from functools import partial
 
 import matplotlib
@@ -9,8 +10,9 @@ import pytest
 
 import trustlab as tl
 from tests.loops import T, assert_device_balances, columns, power
-from trustlab.teleoperation import SCHEMES, STUDIES, Guidance, PartError
+from trustlab.teleoperation import SCHEMES, STUDIES, Guidance, PartError, TeamOperator
 from trustlab.teleoperation.loop.kernel import GUIDANCE
+from trustlab.testbeds import plot_energies
 
 # --- the loop -------------------------------------------------------------------------------------
 
@@ -125,6 +127,19 @@ def test_trust_that_is_driven_starts_where_it_should():
     driver = tl.trust.TrustInLoop(beta, start=0.9)
     run = tl.simulate_teleoperation("TMIG", trust=driver, duration=2.0)
     assert (run["trust_hr"][:100] == 0.9).all()
+
+
+def test_a_log_says_how_it_was_made():
+    study = replace(STUDIES["main"], window=1.0)
+    who, task = tl.Teleoperator(noise=0.9, reach=1.0), tl.TrackingTask(speed=1.0)
+    run = tl.simulate_teleoperation("M", who, study, duration=1.0, task=task, delay=0.5)
+    said = {"settings": "window = 1.0", "operator": "noise = 0.9", "task": "speed = 1.0"}
+    said["samples of delay"] = "50 to 50"
+    assert said.items() <= run.metadata.more.items()
+    usual = tl.simulate_teleoperation("M", duration=1.0).metadata.more
+    assert {usual[name] for name in ("settings", "operator", "task")} == {"as usual"}
+    team = tl.simulate_team(np.ones((3, 3)) - np.eye(3), duration=1.0, operator=TeamOperator(9.0))
+    assert team.facts["operator"] == "push = 9.0"
 
 
 def test_a_step_that_is_refused_leaves_nothing_behind():
@@ -308,6 +323,12 @@ RUNS = [tl.simulate_teleoperation(scheme, seed=2, duration=12.0) for scheme in (
 def closed():
     yield
     plt.close("all")
+
+
+def test_axes_of_another_number_are_refused():
+    for axes in (plt.subplots()[1], plt.subplots(3)[1]):
+        with pytest.raises(ValueError, match="axes must be 2 in number, got"):
+            plot_energies(RUNS[0], axes)
 
 
 def test_measures_are_those_of_the_log():

@@ -10,7 +10,7 @@ import difflib
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from functools import cache, partial
 from numbers import Integral, Real
@@ -180,6 +180,13 @@ def one_of(name: str, value: Any, allowed: Iterable[str], also: str = "") -> str
     raise ValueError(f"{name} must be one of {words}, got {shown(value)}{hint}")
 
 
+def named(name: str, value: Any, kind: type[Kind], table: Mapping[str, Kind]) -> Kind:
+    """Return an object by its name in a table, or one of one's own as it is."""
+    if isinstance(value, kind):
+        return value
+    return table[one_of(name, value, table, also=f"of class {kind.__name__}")]
+
+
 def of_class(name: str, value: object, kind: type[Kind], remedy: str = "") -> Kind:
     """
     Return a value that is an instance of `kind`.
@@ -321,11 +328,12 @@ def refuse_changed(record: Any, own: Any, what: str, *names: str) -> None:
 def changes(record: Any, usual: Any) -> str:
     """Return "name = value, …" of the fields in which a record is not as usual."""
     pairs = {field.name: getattr(record, field.name) for field in fields(record)}
-    return ", ".join(
+    told = [
         f"{name} = {'a function' if callable(value) else shown(value)}"
         for name, value in pairs.items()
         if repr(value) != repr(getattr(usual, name))
-    )
+    ]
+    return ", ".join(told) or "as usual"
 
 
 def _check_of(hint: Any) -> Callable[[str, Any], Any] | None:

@@ -66,7 +66,8 @@ class Teleoperator(Checked):
     derivative : float
         Command wanted per metre a second of its change [1].
     reaction : float
-        Time from what happens to what the hand wants [s]; the camera's delay comes on top.
+        Time from what happens to what the hand wants [s], in whole samples of the loop; the
+        camera's delay comes on top.
     lag : float
         Neuromuscular lag: time constant of the hand's wish [s].
     reach : float

@@ -13,6 +13,7 @@ import pandas as pd
 from trustlab.models.checks import (
     Seed,
     between,
+    changes,
     finite_array,
     finite_numbers,
     of_class,
@@ -20,9 +21,10 @@ from trustlab.models.checks import (
     spawned,
     whole_number,
 )
+from trustlab.models.records import coloured
 from trustlab.models.simulation import Loop, PartError, Simulation, View, filled
 from trustlab.models.trust import trust_step
-from trustlab.teleoperation.delays import both_ways, coloured, delays_in_samples
+from trustlab.teleoperation.delays import both_ways, delays_in_samples
 from trustlab.teleoperation.filters import corrected_filter
 from trustlab.teleoperation.ports import device as haptic
 from trustlab.teleoperation.ports.waves import accounts
@@ -179,15 +181,12 @@ class TeamLoop(Loop):
         goal=(1.0, 2.0, 0.5),
         seed: Seed = 0,
         duration: float = 300.0,
-        operator: TeamOperator | None = None,
-        settings: TeamSettings | None = None,
-        trial: TeamTrial | None = None,
+        operator: TeamOperator = OPERATOR,
+        settings: TeamSettings = SETTINGS,
+        trial: TeamTrial = TRIAL,
         performance: str = "motion",
         trust: TrustDynamics | TrustInLoop | None = None,
     ):
-        operator = OPERATOR if operator is None else operator
-        settings = SETTINGS if settings is None else settings
-        trial = TRIAL if trial is None else trial
         self.seed = seed
         self.remedy = (
             "push less, switch the scattering with the leader, or use a filter that is passive"
@@ -196,7 +195,7 @@ class TeamLoop(Loop):
         self._performance = one_of("performance", performance, ("motion", "random"))
         self._settings = of_class("settings", settings, TeamSettings)
         self._trial = of_class("trial", trial, TeamTrial)
-        of_class("operator", operator, TeamOperator)
+        self._operator = of_class("operator", operator, TeamOperator)
         driver = None
         if trust is not None:
             driver = of_class("trust", TrustInLoop.of(trust), TrustInLoop, "see trust.MODELS")
@@ -208,7 +207,7 @@ class TeamLoop(Loop):
         per_decision = max(round(DECISION / T), 1)
         self._step = per_decision * T
         self._decisions = int(np.ceil(duration / self._step)) + 1
-        self.simulation = self._begin(operator, per_decision, begins, *faults)
+        self.simulation = self._begin(per_decision, begins, *faults)
         self.state = View(self.simulation.state.shown)
         model = settings.human_to_robot
         self._rates = model.decay(self._step), model.b / model.a
@@ -244,9 +243,7 @@ class TeamLoop(Loop):
             loop=self,
         )
 
-    def _begin(
-        self, operator: TeamOperator, per_decision: int, begins, losses, drifts
-    ) -> Simulation:
+    def _begin(self, per_decision: int, begins, losses, drifts) -> Simulation:
         """Return the simulation at its start."""
         settings, trial = self._settings, self._trial
         count = self.count
@@ -272,7 +269,7 @@ class TeamLoop(Loop):
         distance = start - self._goal
         draws = losses.random((count, 2)).T  # by these numbers packets are lost
         drift = 0.5 * T * _drifts(robots, self._decisions, self._step, drifts) / root
-        numbers = self._numbers(operator, ends, distance, root, drift.any(), per_decision)
+        numbers = self._numbers(ends, distance, root, drift.any(), per_decision)
         formations = [
             formation_on(graph, settings.coupling, 0.5 * T, root[:, 0]) for graph in self._graphs
         ]
@@ -296,11 +293,9 @@ class TeamLoop(Loop):
         records = setup, state, inputs, log
         return Simulation(kernel.lead_team, *records, self._decide, per_decision, kernel.BLOCKS, T)
 
-    def _numbers(
-        self, operator, ends: list, distance, root, drifting: bool, per_decision: int
-    ) -> np.void:
+    def _numbers(self, ends: list, distance, root, drifting: bool, per_decision: int) -> np.void:
         """Return the constants of operator and channel, a record of NUMBERS."""
-        settings, trial = self._settings, self._trial
+        settings, trial, operator = self._settings, self._trial, self._operator
         T, filters = trial.sample_time, settings.channel.filters
         stored = 0.5 * float(np.sum((distance / root) ** 2)) / min(settings.lead_gain, 1.0)
         budget = operator.budget * (1.0 + stored)
@@ -507,6 +502,9 @@ class TeamLoop(Loop):
             "note": NOTE,
             "performance": self._performance,
             "trust": self._trust_title,
+            "operator": changes(self._operator, OPERATOR),
+            "settings": changes(self._settings, SETTINGS),
+            "trial": changes(self._trial, TRIAL),
             "waits": self._waits,
         }
         return TeamRun(
@@ -525,11 +523,8 @@ class TeamLoop(Loop):
 
 def _drifts(robots: np.ndarray, decisions: int, step: float, rng) -> np.ndarray:
     """Return velocities by which robots drift, drawn, shape (M, N, 3)."""
-    velocities = np.zeros((decisions, robots.size, 3))
-    drifts = robots["drift"] > 0.0
-    noise = coloured(decisions, 3 * drifts.sum(), DRIFT_TIME, step, rng)
-    velocities[:, drifts] = noise.reshape(decisions, 3, drifts.sum()).transpose(0, 2, 1)
-    return velocities * robots["drift"][:, None]
+    noise = coloured(decisions, 3 * robots.size, DRIFT_TIME, step, rng)
+    return noise.reshape(decisions, -1, 3) * robots["drift"][:, None]
 
 
 def _drawn(decisions: int, robots: int, rate: float, rng) -> tuple[np.ndarray, np.ndarray]:

@@ -41,7 +41,8 @@ class TeamRun(Result):
     robots : tuple
         Names.
     graphs : tuple of (float, numpy.ndarray)
-        When each graph began [s], and its a_ij, shape (N, N).
+        From when each graph was given [s], to hold from the next decision on, and its a_ij, shape
+        (N, N).
     goal : numpy.ndarray, shape (3,)
         r_q [m].
     data : pandas.DataFrame
@@ -190,7 +191,7 @@ class TeamRun(Result):
         Parameters
         ----------
         axes : sequence of four matplotlib.axes.Axes, optional
-            Where; a new figure when not given.
+            Where, in this order; a new figure when not given.
 
         Returns
         -------
@@ -202,10 +203,6 @@ class TeamRun(Result):
             If there are not four axes.
         """
         axes = axes_or_new(axes, 4, title=self.title, sharex=True, figsize=(8.0, 8.4))
-        if np.size(axes) != 4:
-            raise ValueError(
-                "axes must be four Matplotlib axes: distances, leader, force, energies"
-            )
         distance, leader, force, energy = np.ravel(axes)
         t, data = self.t, self.data
         distance.semilogy(t, np.maximum(self.distances, 1e-9), lw=0.8, color="C0", alpha=0.6)

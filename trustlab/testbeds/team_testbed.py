@@ -127,7 +127,8 @@ class RobotTeam(Checked):
         seed : int
             Seed of the draws.
         """
-        assumed = checked_assumptions(assumptions, dict.fromkeys(HAND, (0.0, 1e3)))
+        assumed: Any = checked_assumptions(assumptions, dict.fromkeys(HAND, (0.0, 1e3)))
+        TeamOperator(**assumed)  # refused now, not in every run
 
         def draw(number: int, rng: np.random.Generator) -> dict[str, float]:
             shares = rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, len(HAND))

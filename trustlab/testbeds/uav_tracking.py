@@ -8,7 +8,7 @@ is stepped or run, and what is drawn at random. One sample is `teleoperate` in
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Annotated, Any
 
@@ -22,6 +22,7 @@ from trustlab.models.checks import (
     Seed,
     array_between,
     between,
+    changes,
     finite_numbers,
     function,
     of_class,
@@ -30,13 +31,13 @@ from trustlab.models.checks import (
     shown,
     spawned,
 )
+from trustlab.models.records import coloured
 from trustlab.models.simulation import Loop, Simulation, View, compiled_for, filled
 from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
 from trustlab.teleoperation.delays import (
     both_ways,
-    coloured,
     delays_in_samples,
     random_walk_delay,
 )
@@ -60,6 +61,7 @@ from trustlab.teleoperation.loop.settings import (
     Scheme,
     blending_cost,
     bounds_of,
+    described,
     guidance_named,
     optimal_share,
     scheme_named,
@@ -458,14 +460,17 @@ class TeleoperationLoop(Loop):
         rows = self.simulation.log[:done].view(float).reshape(done, -1)
         t = pd.Index(np.round(self.settings.sample_time * np.arange(done), 9), name="t")
         data = pd.DataFrame(rows[:, : len(COLUMNS)].copy(), t, COLUMNS)
-        guidance = self.guidance
+        study, delays = self.settings.study, self.simulation.setup.delays[:, :done]
+        # functions of one's own are parts
+        guidance = replace(self.guidance, force=None) if self.scheme.bilateral else "none"
         facts = {
-            "study": self.settings.title,
+            **described(self.settings),
             "scheme": self.scheme.title,
             "seed": str(self.seed),
-            "guard": guidance.guard,
-            "guidance": guidance.where,
-            "budget": str(guidance.budget) if guidance.budget else "none",
+            "guidance": str(guidance),
+            "task": changes(self.task, TASKS[study]),
+            "operator": changes(self.operator, Teleoperator(reach=REACH[study])),
+            "samples of delay": f"{delays.min():.3g} to {delays.max():.3g}",
             "parts": self._asked or "built-in",
             "note": NOTE,
         }
@@ -548,7 +553,7 @@ def checked_signals(signals: Any, count: int, bounds: Mapping) -> dict[str, np.n
         array = checked[name] = array.astype(float)
         # where nothing is decided all of a row is NaN
         decided = ~np.isnan(array.reshape(count, -1)).all(axis=1) | (name not in DECIDED.names)
-        finite_numbers(name, np.where(decided.reshape(-1, *[1] * (array.ndim - 1)), array, 0.0))
+        finite_numbers(name, np.where(decided, array.T, 0.0).T)
         if name in bounds and decided.any():
             low, high = bounds[name]
             array_between(name, array[decided], low, high, "the loop's settings")

@@ -91,12 +91,10 @@ def checked(name: str, value: Any, bounds: Mapping[str, tuple[float, float]]) ->
         value = np.asarray(value, float)
         valid = value.shape == (3,) and np.isfinite(value).all()
         wanted = "three finite numbers are wanted, for x, y and z"
-    elif name in bounds:
+    else:
         low, high = bounds[name]
         valid = low <= value <= high
         wanted = f"it must lie in [{low:g}, {high:g}], as the loop's settings have it"
-    else:
-        valid, wanted = np.isfinite(value), "a finite number is wanted"
     if not valid:
         raise ReturnedError(f"returned {name} = {value}; {wanted}")
     return value

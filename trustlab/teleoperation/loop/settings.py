@@ -11,7 +11,16 @@ from typing import Annotated
 import numpy as np
 
 from trustlab.allocation.blending import OptimalBlending, best_share
-from trustlab.models.checks import Checked, NotNegative, Positive, not_negative, one_of, shown
+from trustlab.models.checks import (
+    Checked,
+    NotNegative,
+    Positive,
+    changes,
+    named,
+    not_negative,
+    one_of,
+    shown,
+)
 from trustlab.models.compiled import njit
 from trustlab.models.display import axes_or_new
 from trustlab.models.simulation import filled
@@ -162,9 +171,13 @@ STUDIES = {
 
 def study_named(study: str | LoopSettings) -> LoopSettings:
     """Return the printed settings of a study by name, or own ones as they are."""
-    if isinstance(study, LoopSettings):
-        return study
-    return STUDIES[one_of("study", study, STUDIES, also="LoopSettings")]
+    return named("study", study, LoopSettings, STUDIES)
+
+
+def described(settings: LoopSettings) -> dict[str, str]:
+    """Return what is logged of settings: what they are, and how they differ from the printed."""
+    usual = STUDIES[settings.study]
+    return {"study": settings.title, "settings": changes(settings, usual)}
 
 
 # --- schemes ------------------------------------------------------------------------------------
@@ -270,9 +283,7 @@ SCHEMES = {
 
 def scheme_named(name: str | Scheme) -> Scheme:
     """Return the scheme of this name, or one's own as it is."""
-    if isinstance(name, Scheme):
-        return name
-    return SCHEMES[one_of("scheme", name, SCHEMES, also="a trustlab.Scheme")]
+    return named("scheme", name, Scheme, SCHEMES)
 
 
 # --- guidance -----------------------------------------------------------------------------------
@@ -406,8 +417,8 @@ def bounds_of(settings: LoopSettings) -> dict[str, tuple[float, float]]:
     bounds = {
         "alpha": (ends.alpha_min, ends.alpha_max),
         "beta": (ends.beta_min, ends.beta_max),
-        "trust_hr": (hr.t_min, np.inf if hr.allow_unbounded else hr.t_max),
-        "trust_rh": (rh.t_min, np.inf if rh.allow_unbounded else rh.t_max),
+        "trust_hr": (hr.t_min, 1e300 if hr.allow_unbounded else hr.t_max),
+        "trust_rh": (rh.t_min, 1e300 if rh.allow_unbounded else rh.t_max),
     }
     return {
         name: (low - SLACK * abs(low), high + SLACK * abs(high))

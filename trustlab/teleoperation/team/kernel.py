@@ -11,11 +11,11 @@ from collections import namedtuple
 import numpy as np
 
 from trustlab.models.compiled import njit
+from trustlab.models.records import AXES, block, columns_of, record, step
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.device import DEVICE
 from trustlab.teleoperation.ports.waves import END, LEDGER, dot, read_waves
-from trustlab.teleoperation.records import AXES, block, columns_of, record, step
 
 BLOCKS = ("the haptic device", "the channel", "the team")
 

@@ -199,7 +199,7 @@ class TeamSettings(Checked):
     force_gain: Positive = 1.0
     coupling: Positive = 1.0
     channel: TeamChannel = TeamChannel()
-    min_dwell: float | None = None
+    min_dwell: Positive | None = None
 
     def __post_init__(self):
         super().__post_init__()
