@@ -276,10 +276,10 @@ class Loop:
         self._advance(stop)
         return self.so_far()
 
-    def _held(self, samples: int, hand: Any) -> int:
+    def _held(self, samples: int, hand: Any, **given: float) -> int:
         """
         Return before which sample to stop after some more, in which a hand wants the device to be
-        somewhere [m].
+        somewhere [m], and other inputs are given.
         """
         run = self.simulation
         stop = run.done + samples
@@ -287,7 +287,9 @@ class Loop:
             raise ValueError(f"the loop ends at t = {self.t:g} s; make it with a longer duration")
         if hand is not None:
             place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)
-            run.inputs["hand"][run.done : stop] = place
+            given["hand"] = place
+        for name, value in given.items():
+            run.inputs[name][run.done : stop] = value
         return stop
 
     def _advance(self, stop: int) -> None:

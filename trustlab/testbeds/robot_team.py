@@ -498,7 +498,6 @@ class TeamLoop(Loop):
             "seed": str(self.seed),
             "delay": self._delay,
             "min_dwell": self._dwell,
-            "sample_time": T,
             "note": NOTE,
             "performance": self._performance,
             "trust": self._trust_title,

@@ -99,10 +99,9 @@ class RobotTeam(Checked):
             after = np.roll(np.eye(len(robots)), 1, axis=0)
             graph = np.maximum(after, after.T)
         settings = TeamSettings.scaled(graph, 40.0) if self.blocks is None else self.blocks
-        usual = TeamSettings.robots, robots
-        if of_class("blocks", settings, TeamSettings).robots not in usual:
+        blocks = replace(of_class("blocks", settings, TeamSettings), robots=robots)
+        if settings.robots not in (TeamSettings.robots, robots):
             raise ValueError("the robots of blocks would do nothing: give robots=…")
-        blocks = replace(settings, robots=robots)
         blocks.per_robot(len(graphs_in_time(graph, True)[0]))  # refused if they are too few
         conditions = (*POLICIES, *self.rules)
         self.__dict__.update(robots=robots, graph=graph, blocks=blocks, conditions=conditions)

@@ -8,7 +8,7 @@ is stepped or run, and what is drawn at random. One sample is `teleoperate` in
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any
 
@@ -317,7 +317,8 @@ class TeleoperationLoop(Loop):
                 inputs[name][:-1] = signal
         # Inputs and delays have a row more than the log: padding, for a pause that nobody uses.
         follows_error = self.guidance.where == "through_channel"
-        decide = asking(hooks, self.state, whole, self._bounds, follows_error) if hooks else None
+        told = self.state, whole, {"alpha", *given}, self._bounds, follows_error
+        decide = asking(hooks, *told) if hooks else None
         setup = LoopSetup(numbers, np.pad(delays, ((0, 0), (0, 1)), "edge"), arrives)
         self.simulation = Simulation(
             teleoperate,
@@ -432,12 +433,10 @@ class TeleoperationLoop(Loop):
         DivergenceError
             If the run grows without bound.
         """
+        given = {}
         if alpha is not None:
-            alpha = between("alpha", alpha, *self._bounds["alpha"])
-        stop = self._held(1, hand)
-        if alpha is not None:
-            self.simulation.inputs["alpha"][stop - 1] = alpha
-        self._advance(stop)
+            given["alpha"] = between("alpha", alpha, *self._bounds["alpha"])
+        self._advance(self._held(1, hand, **given))
         return self.state
 
     @property
@@ -461,13 +460,11 @@ class TeleoperationLoop(Loop):
         t = pd.Index(np.round(self.settings.sample_time * np.arange(done), 9), name="t")
         data = pd.DataFrame(rows[:, : len(COLUMNS)].copy(), t, COLUMNS)
         study, delays = self.settings.study, self.simulation.setup.delays[:, :done]
-        # functions of one's own are parts
-        guidance = replace(self.guidance, force=None) if self.scheme.bilateral else "none"
         facts = {
             **described(self.settings),
             "scheme": self.scheme.title,
             "seed": str(self.seed),
-            "guidance": str(guidance),
+            "guidance": changes(self.guidance, Guidance()),
             "task": changes(self.task, TASKS[study]),
             "operator": changes(self.operator, Teleoperator(reach=REACH[study])),
             "samples of delay": f"{delays.min():.3g} to {delays.max():.3g}",

@@ -33,16 +33,17 @@ def asking(
     hooks: Mapping[str, Callable],
     view: View,
     records: np.ndarray,
+    given: set[str],
     bounds: Mapping[str, tuple[float, float]],
     follows_error: bool,
 ) -> Callable:
     """
     Return the `decide` of a `Simulation` that asks these functions in turn.
 
-    records: those that `view` reads; later functions see there what earlier ones decided. bounds:
-    of scales and trust. follows_error: whether the guiding force follows the error of the moment,
-    not the picture. What the inputs hold already, given from outside, prevails, and is seen, too. A
-    controller that has lost its target is not asked: it hovers.
+    records: those that `view` reads; later functions see there what earlier ones decided. given:
+    what may come from outside, where it prevails, and is seen, too. bounds: of scales and trust.
+    follows_error: whether the guiding force follows the error of the moment, not the picture.
+    A controller that has lost its target is not asked: it hovers.
     """
     row = records["now"]
     fields = {
@@ -51,8 +52,10 @@ def asking(
         for name in names
     }
 
+    parts = {part: names for part, names in HOOKS.items() if part in hooks or given & {*names}}
+
     def decide(_: Any, inputs: np.ndarray) -> None:
-        for part, names in HOOKS.items():
+        for part, names in parts.items():
             rests = part in FOLLOWING and view.t == 0.0
             if part in hooks and not (rests or (part == "autonomy" and not view.finds)):
                 try:
