@@ -13,7 +13,7 @@ from trustlab.operators.answers import agreeing, experience, simulated_answers
 from trustlab.operators.ground_robot import ASSUMPTIONS
 from trustlab.operators.teleoperator import Teleoperator
 from trustlab.sessions.session import Metadata, Session
-from trustlab.teleoperation import Guidance
+from trustlab.teleoperation import STUDIES, Guidance
 from trustlab.testbeds import TeleoperatorPopulation
 from trustlab.testbeds.ground_robot.conditions import drive_modes
 from trustlab.testbeds.uav_tracking import TrackingTask
@@ -197,6 +197,18 @@ def test_answers_follow_what_was_gone_through():
     assert 1 <= high["trust"] <= low["trust"] <= 7
 
 
+def test_answers_by_settings_that_a_run_does_not_have_are_refused():
+    run = tl.simulate_teleoperation("TMIG", study="preliminary", duration=5.0)
+    assert simulated_answers(run, "preliminary")
+    with pytest.raises(ValueError, match=r"study 'preliminary study .*', not 'main study .*; pass"):
+        simulated_answers(run)
+    wide = replace(STUDIES["main"], error_range=9.0)
+    run = tl.simulate_teleoperation("TMIG", study=wide, duration=5.0)
+    assert simulated_answers(run, wide)
+    with pytest.raises(ValueError, match=r"settings 'error_range = 9\.0', not 'as usual'"):
+        simulated_answers(run)
+
+
 def test_answers_are_a_persons_own_and_repeatable():
     first, again, other = (simulated_answers(RUN, participant=who, seed=1) for who in (3, 3, 4))
     assert first == again != other
@@ -241,7 +253,9 @@ def test_a_delayed_hand_weaves(operators):
     assert errors[1] > 1.5 * errors[0]
 
 
-@pytest.mark.parametrize("name", ["proportional", "derivative", "crossover", "adaptation"])
+@pytest.mark.parametrize(
+    "name", ["proportional", "adaptation", "reach", "compensation", "allocation_cost"]
+)
 def test_what_a_law_of_ones_own_does_not_use_is_refused(name):
     with pytest.raises(ValueError, match=f"{name} would do nothing beside a law of one's own"):
-        tl.Teleoperator("me", law=lambda state: 0.8 * state.seen, **{name: 3.0})
+        tl.Teleoperator("me", law=lambda state: 0.8 * state.seen, **{name: 0.9})

@@ -27,7 +27,7 @@ def lead(policy, trust, dwell, step=0.1, seed=0):
     picks = []
     for k, now in enumerate(trust):
         times = since, dwell
-        situation = k * step, names, present, now, leader, *times, rng, memory, None
+        situation = k * step, names, present, present, now, leader, *times, rng, memory, None
         picks.append(policy.leader(TeamSituation(*situation)))
         if picks[-1] != leader:
             leader, since = picks[-1], k * step

@@ -11,7 +11,7 @@ import pytest
 
 import trustlab as tl
 from tests.loops import simulate_team
-from trustlab.teleoperation import STUDIES, GivenSequence, packet_delay
+from trustlab.teleoperation import STUDIES, GivenSequence, Guidance, GuidanceBudget, packet_delay
 from trustlab.teleoperation.channel import channel_run
 from trustlab.teleoperation.delays import Delay
 from trustlab.teleoperation.filters import TwoPortFilter, passivity_margin
@@ -58,6 +58,13 @@ REFUSED = [
     ),
     (lambda: tl.TrackingTask(vehicle=(UNIT, NONE[:, :2], UNIT)), "vehicle must be matrices"),
     (lambda: tl.TrackingTask(vehicle=(np.nan * UNIT, NONE, UNIT)), "vehicle must be finite"),
+    (lambda: tl.TrackingTask(autonomy=np.copy, reach=1.0), "reach would do nothing beside a con"),
+    (lambda: Guidance(guard="off", budget=GuidanceBudget(1.0)), "under a guard, got .* 'off'"),
+    (lambda: fly(scheme="MI", guidance=Guidance(force=np.copy)), "force would do nothing in .* MI"),
+    (
+        lambda: fly(scheme="MI", signals={"arrives": np.ones((500, 2))}),
+        "arrives would do nothing in scheme MI: no force comes back",
+    ),
     (lambda: replace(STUDIES["main"], mass=1.0, weight=60.0), "not r-passive"),
     (
         lambda: simulate_team({0.0: PATH, 5.0: nx.empty_graph(3)}, duration=10.0),

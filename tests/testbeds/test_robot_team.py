@@ -418,6 +418,7 @@ def test_active_operator():
         simulate_team(
             nx.path_graph(4),
             operator=TeamOperator(guarded=guarded, push=40.0, reach=50.0, cautious=0.0),
+            seed=1,
             delay=1.0,
             sample_time=0.01,
             duration=200.0,

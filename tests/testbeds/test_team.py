@@ -12,11 +12,14 @@ import trustlab as tl
 from tests.loops import simulate_team
 from trustlab.teleoperation import (
     GivenSequence,
+    PartError,
     TeamOperator,
     TeamRobot,
     TeamSettings,
     TeamTrial,
 )
+from trustlab.teleoperation.team import kernel
+from trustlab.teleoperation.team.decisions import POLICIES
 from trustlab.testbeds import RobotTeam
 
 
@@ -132,6 +135,71 @@ class TestLoop:
         np.testing.assert_allclose(state.device[1:], 0.0, atol=3e-3)
 
 
+def test_the_state_of_a_team_is_the_row_of_its_last_sample():
+    """Oracle: the table of a run that records every sample."""
+    arguments = {"seed": 3, "duration": 5.0, "settings": faulty(TeamRobot(speed=0.4))}
+    state = tl.TeamLoop(CHAIN, **arguments).step(samples=2007)
+    every = tl.simulate_team(CHAIN, **arguments, trial=TeamTrial(record_every=1e-3))
+    last = np.hstack([state[name] for name in kernel.LOG.names])
+    np.testing.assert_array_equal(last, every.data.iloc[2006])
+
+
+def test_budgets_are_in_units_of_v_e_in_which_slow_robots_count_more():
+    settings = faulty(TeamRobot(speed=0.05), lead_gain=0.5)
+    run = tl.simulate_team(CHAIN, settings=settings, duration=1.0)
+    assert run.budget == pytest.approx(4.0 * (1.0 + run.data["v_e"].iloc[0]), rel=1e-12)
+
+
+def test_switches_are_counted_between_recorded_rows_too():
+    arguments = {"seed": 1, "duration": 100.0, "settings": TeamSettings(min_dwell=5.0)}
+    fine, coarse = (
+        tl.simulate_team(CHAIN, "sequence", trial=TeamTrial(0.01, every), **arguments)
+        for every in (0.01, 40.0)
+    )
+    np.testing.assert_allclose(fine.switches, 10.0 * np.arange(1, 10))
+    np.testing.assert_array_equal(coarse.switches, fine.switches)
+
+
+@pytest.mark.parametrize("policy", sorted(POLICIES))
+def test_policies_choose_among_those_who_may_lead(policy):
+    star = nx.DiGraph([(0, 2), (1, 2), (3, 2)])
+    run = tl.simulate_team(star, policy, duration=30.0, trial=TeamTrial(0.01))
+    assert (run.data["number"] == 2).all()
+    leaving = {0.0: nx.cycle_graph("abcd"), 3.0: nx.path_graph("bcd")}
+    run = tl.simulate_team(leaving, policy, duration=30.0, trial=TeamTrial(0.01))
+    assert (run.data["number"][3.0:] > 0).all()
+
+
+class Picking:
+    """Who leads by a number, which is no robot's after two seconds."""
+
+    title = "picking"
+
+    def leader(self, now):
+        return 0 if now.t < 2.0 else 7
+
+
+def test_a_policy_that_picks_nobody_is_named_and_the_run_so_far_is_kept():
+    loop = tl.TeamLoop(CHAIN, Picking(), duration=10.0, trial=TeamTrial(0.01))
+    words = "the leader policy 'picking', at t = 2 s: .* from 0 to 3, got 7"
+    for _ in range(2):
+        with pytest.raises(PartError, match=words) as caught:
+            loop.run()
+    assert caught.value.session.t[-1] == 1.99
+
+
+@pytest.mark.parametrize("performance", ["motion", "random"])
+def test_a_longer_run_begins_as_the_shorter_one(performance):
+    robots = TeamRobot(drift=0.05, loss=0.3), TeamRobot(), TeamRobot(loss=0.5), TeamRobot(drift=0.1)
+    arguments = {"settings": TeamSettings(robots=robots), "performance": performance}
+    short, long = (
+        tl.simulate_team(CHAIN, duration=s, trial=TeamTrial(0.01), **arguments)
+        for s in (12.0, 20.0)
+    )
+    np.testing.assert_array_equal(short.data, long.data[:11.995])
+    np.testing.assert_array_equal(short.trust, long.trust[:1200])
+
+
 # --- a testbed ------------------------------------------------------------------------------------
 
 
@@ -187,6 +255,15 @@ def test_a_session_is_a_run_of_the_team():
     assert measures["work"] == run.data["supply_hand"].iloc[-1]
     assert session.session.metadata.synthetic
     assert bed.next_session(person, session) is person
+
+
+def test_robots_of_a_testbed_are_given_once_and_fit_their_graph():
+    with pytest.raises(ValueError, match="robots of blocks would do nothing: give robots="):
+        RobotTeam(blocks=faulty(DEAF))
+    with pytest.raises(ValueError, match="robots has 4 entries for 5 robots"):
+        RobotTeam(graph=nx.cycle_graph(5))
+    two = RobotTeam(robots=(TeamRobot(),) * 2, blocks=TeamSettings())
+    np.testing.assert_array_equal(two.graph, [[0.0, 1.0], [1.0, 0.0]])
 
 
 def test_a_study_tells_policies_apart():

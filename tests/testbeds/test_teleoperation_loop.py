@@ -1,5 +1,6 @@
 """The loop of teleoperation, stepped and at once, and figures of its runs."""
 
+from dataclasses import replace
 from functools import partial
 
 import matplotlib
@@ -9,8 +10,9 @@ import pytest
 
 import trustlab as tl
 from tests.loops import T, assert_device_balances, columns, power
-from trustlab.teleoperation import SCHEMES, STUDIES, Guidance, PartError
+from trustlab.teleoperation import SCHEMES, STUDIES, Guidance, PartError, TeamOperator
 from trustlab.teleoperation.loop.kernel import GUIDANCE
+from trustlab.testbeds import plot_energies
 
 # --- the loop -------------------------------------------------------------------------------------
 
@@ -90,6 +92,71 @@ def test_a_run_is_repeated_from_its_decisions_without_functions_or_hands(guidanc
     assert "alpha as given" in again.metadata.more["parts"]
     without = tl.simulate_teleoperation("M", **same)
     assert not without.data.equals(loop.session.data)  # negative control
+
+
+@pytest.mark.parametrize("scheme", ["OMI", tl.Scheme("mine", tmig)])
+def test_what_is_given_is_what_functions_decide_by(scheme):
+    """Oracle: a run in which functions say the same, and a scheme's rule on the logged trust."""
+    count = round(SHORT / T)
+    task = tl.TrackingTask(autonomy=lambda state: np.full(3, 0.7))
+    parts = {"task": task, "trust": lambda state: (0.2, 0.8)}
+    said = tl.simulate_teleoperation(scheme, duration=SHORT, **parts)
+    given = {"u_a": columns(said, "u_a")} | {n: said[n] for n in ("trust_hr", "trust_rh")}
+    run = tl.simulate_teleoperation(scheme, signals=given, duration=SHORT)
+    assert run.data.equals(said.data)
+    first = {"trust_hr": np.full(count, np.nan)} | {"robot": np.full((count, 3), np.nan)}
+    first["trust_hr"][0], first["robot"][:] = 0.1, (5.0, 0.0, 1.0)
+    seen = []
+    watching = tl.Scheme("watching", lambda s: seen.append((s.path_error, *s.robot)) or tmig(s))
+    run = tl.simulate_teleoperation(watching, signals=first, duration=SHORT)
+    assert run["alpha"][0] == logistic(0.2, 1.0, 0.1)
+    np.testing.assert_array_equal(seen, run.data[["path_error", "robot_x", "robot_y", "robot_z"]])
+
+
+def test_a_controller_of_ones_own_hovers_while_its_target_is_lost():
+    """Oracle: the built-in controller with the same law."""
+    law = {"integral": 0.0, "derivative": 0.0}
+    own = tl.TrackingTask(autonomy=lambda state: np.clip(state.picture, -1.5, 1.5))
+    tasks = tl.TrackingTask(**law), own
+    ours, mine = (tl.simulate_teleoperation("TMIG", task=t, duration=60.0).data for t in tasks)
+    assert mine.equals(ours)
+
+
+def test_trust_that_is_driven_starts_where_it_should():
+    beta = tl.trust.MODELS["beta"](success=2.0, failure=3.0)
+    driver = tl.trust.TrustInLoop(beta, start=0.9)
+    run = tl.simulate_teleoperation("TMIG", trust=driver, duration=2.0)
+    assert (run["trust_hr"][:100] == 0.9).all()
+
+
+def test_a_log_says_how_it_was_made():
+    study = replace(STUDIES["main"], window=1.0)
+    who, task = tl.Teleoperator(noise=0.9, reach=1.0), tl.TrackingTask(speed=1.0)
+    run = tl.simulate_teleoperation("M", who, study, duration=1.0, task=task, delay=0.5)
+    said = {"settings": "window = 1.0", "operator": "noise = 0.9", "task": "speed = 1.0"}
+    said["samples of delay"] = "50 to 50"
+    assert said.items() <= run.metadata.more.items()
+    usual = tl.simulate_teleoperation("M", duration=1.0).metadata.more
+    assert {usual[name] for name in ("settings", "operator", "task")} == {"as usual"}
+    team = tl.simulate_team(np.ones((3, 3)) - np.eye(3), duration=1.0, operator=TeamOperator(9.0))
+    assert team.facts["operator"] == "push = 9.0"
+
+
+def test_a_step_that_is_refused_leaves_nothing_behind():
+    loop, same = (tl.TeleoperationLoop("TMIG", duration=1.0) for _ in range(2))
+    with pytest.raises(ValueError, match="hand must have 3"):
+        loop.step(alpha=0.3, hand=(1.0, 2.0))
+    with pytest.raises(ValueError, match="nothing has been done"):
+        _ = loop.session
+    assert loop.run() == same.run()
+
+
+def test_trust_beyond_its_range_is_refused():
+    ratings = {"trust_hr": np.full(500, 62.0)}
+    with pytest.raises(ValueError, match=r"trust_hr must lie in \[0, 1\]"):
+        tl.simulate_teleoperation("TMIG", signals=ratings, duration=5.0)
+    with pytest.raises(PartError, match=r"trust_rh = -5; it must lie in \[0, 1\]"):
+        tl.simulate_teleoperation("TMIG", trust=lambda state: (0.5, -5), duration=5.0)
 
 
 def test_feedback_autonomy_and_trust_are_exchanged():
@@ -256,6 +323,12 @@ RUNS = [tl.simulate_teleoperation(scheme, seed=2, duration=12.0) for scheme in (
 def closed():
     yield
     plt.close("all")
+
+
+def test_axes_of_another_number_are_refused():
+    for axes in (plt.subplots()[1], plt.subplots(3)[1]):
+        with pytest.raises(ValueError, match="axes must be 2 in number, got"):
+            plot_energies(RUNS[0], axes)
 
 
 def test_measures_are_those_of_the_log():

@@ -10,7 +10,7 @@ import difflib
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from functools import cache, partial
 from numbers import Integral, Real
@@ -180,6 +180,13 @@ def one_of(name: str, value: Any, allowed: Iterable[str], also: str = "") -> str
     raise ValueError(f"{name} must be one of {words}, got {shown(value)}{hint}")
 
 
+def named(name: str, value: Any, kind: type[Kind], table: Mapping[str, Kind]) -> Kind:
+    """Return an object by its name in a table, or one of one's own as it is."""
+    if isinstance(value, kind):
+        return value
+    return table[one_of(name, value, table, also=f"of class {kind.__name__}")]
+
+
 def of_class(name: str, value: object, kind: type[Kind], remedy: str = "") -> Kind:
     """
     Return a value that is an instance of `kind`.
@@ -309,6 +316,24 @@ def field_checks(kind: type) -> dict[str, Callable[[str, Any], Any]]:
     """Return what checks the fields of a dataclass, by name."""
     known = {field.name: _check_of(field.type) for field in fields(kind) if field.init}
     return {name: check for name, check in known.items() if check}
+
+
+def refuse_changed(record: Any, own: Any, what: str, *names: str) -> None:
+    """Refuse fields that are not as usual where a function of one's own takes their place."""
+    for name in names if callable(own) else ():
+        if getattr(record, name) != getattr(type(record), name):
+            raise ValueError(f"{name} would do nothing beside {what} of one's own")
+
+
+def changes(record: Any, usual: Any) -> str:
+    """Return "name = value, …" of the fields in which a record is not as usual."""
+    pairs = {field.name: getattr(record, field.name) for field in fields(record)}
+    told = [
+        f"{name} = {'a function' if callable(value) else shown(value)}"
+        for name, value in pairs.items()
+        if repr(value) != repr(getattr(usual, name))
+    ]
+    return ", ".join(told) or "as usual"
 
 
 def _check_of(hint: Any) -> Callable[[str, Any], Any] | None:

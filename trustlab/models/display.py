@@ -4,6 +4,7 @@ import html
 import textwrap
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 
 # Rows of a table that a result shows of itself; `table()` returns all. A single row with more
@@ -68,9 +69,11 @@ def axes_or_new(
 ) -> Any:
     """
     Return the Matplotlib axes that a user hands over, or those of a new figure with this title;
-    options are those of `plt.subplots`.
+    options are those of `plt.subplots`. Axes of another number are refused.
     """
     if axes is not None:
+        if np.size(axes) != rows * columns:
+            raise ValueError(f"axes must be {rows * columns} in number, got {np.size(axes)}")
         return axes
     import matplotlib.pyplot as plt
 

@@ -238,6 +238,13 @@ class Loop:
         """Time that has been simulated [s]."""
         return self.simulation.done * self.simulation.sample_time
 
+    @property
+    def _done(self) -> int:
+        """How many samples there are so far."""
+        if not self.simulation.done:
+            raise ValueError("nothing has been done yet: step or run the loop first")
+        return self.simulation.done
+
     def so_far(self) -> Any:
         """Return the run so far."""
         raise NotImplementedError
@@ -265,21 +272,26 @@ class Loop:
         if not max(self.simulation.done, 2) <= stop <= self.count:
             raise ValueError(
                 f"until must lie between t = {self.t:g} s, where the loop is, and its duration of "
-                f"{self.count * T:g} s, got {until}"
+                f"{self.count * T:g} s, and be two samples or more, got {until}"
             )
         self._advance(stop)
         return self.so_far()
 
-    def _advance_by(self, samples: int, hand: Any) -> None:
-        """Do some samples, in which a hand wants the device to be somewhere [m]."""
+    def _held(self, samples: int, hand: Any, **given: float) -> int:
+        """
+        Return before which sample to stop after some more, in which a hand wants the device to be
+        somewhere [m], and other inputs are given.
+        """
         run = self.simulation
         stop = run.done + samples
         if stop > self.count:
             raise ValueError(f"the loop ends at t = {self.t:g} s; make it with a longer duration")
         if hand is not None:
             place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)
-            run.inputs["hand"][run.done : stop] = place
-        self._advance(stop)
+            given["hand"] = place
+        for name, value in given.items():
+            run.inputs[name][run.done : stop] = value
+        return stop
 
     def _advance(self, stop: int) -> None:
         """Do the samples before `stop`; a run that failed fails again."""

@@ -12,7 +12,7 @@ from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel, threshold_mode
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Session
-from trustlab.teleoperation.loop.settings import LoopSettings, study_named
+from trustlab.teleoperation.loop.settings import LoopSettings, described, study_named
 
 # Standard deviations, as shares of a scale: of a person's way of answering, the same in all
 # conditions, and of one answer.
@@ -28,7 +28,7 @@ def experience(session: Session, study: str | LoopSettings = "main") -> dict[str
     session : Session
         A run of `simulate_teleoperation`.
     study : {"preliminary", "main"} or LoopSettings
-        The settings of the run.
+        The settings of the run; others than it names are refused.
 
     Returns
     -------
@@ -45,7 +45,13 @@ def experience(session: Session, study: str | LoopSettings = "main") -> dict[str
         If an argument is of the wrong kind; a SessionError if a column is missing.
     """
     of_class("session", session, Session)
-    settings = study_named(study)
+    settings, said = study_named(study), session.metadata.more
+    for name, word in described(settings).items():
+        if said.get(name, word) != word:
+            raise ValueError(
+                f"the run has other settings than study: {name} {said[name]!r}, not {word!r}; pass "
+                "study=, as it was simulated"
+            )
     session.require("path_error", "f_h_x", "f_h_y", "f_h_z", "alpha", "p_r", "p_h")
     ends = settings.scattering
     force = np.sqrt(sum(session[f"f_h_{axis}"] ** 2 for axis in "xyz")).mean()

@@ -80,7 +80,8 @@ class Operator(Checked):
         [m/s]: where (2.3) settles under manual control, P_r,min + b_pr/(1 − a_pr) P_h. The defaults
         are the pilot operator's.
     delay : float
-        Visuomotor delay: the hand acts on what the eye saw this long ago [s]; at most 5 s.
+        Visuomotor delay: the hand acts on what the eye saw this long ago [s], in whole samples of
+        0.1 s; at most 5 s.
     noise : float
         Scale of wander and of steering activity; 1 as calibrated, 0 a hand without noise.
     hand_lag : float

@@ -14,6 +14,7 @@ from trustlab.models.checks import (
     Share,
     check_participant,
     one_of,
+    refuse_changed,
 )
 from trustlab.models.simulation import filled
 from trustlab.teleoperation.loop.kernel import LAWS
@@ -65,7 +66,8 @@ class Teleoperator(Checked):
     derivative : float
         Command wanted per metre a second of its change [1].
     reaction : float
-        Time from what happens to what the hand wants [s]; the camera's delay comes on top.
+        Time from what happens to what the hand wants [s], in whole samples of the loop; the
+        camera's delay comes on top.
     lag : float
         Neuromuscular lag: time constant of the hand's wish [s].
     reach : float
@@ -150,10 +152,8 @@ class Teleoperator(Checked):
         check_participant(self.participant)
         if not callable(self.law):
             one_of("law", self.law, LAWS, also="a function of the state")
-            return
-        for name in ("proportional", "derivative", "crossover", "adaptation"):
-            if getattr(self, name) != getattr(type(self), name):
-                raise ValueError(f"{name} would do nothing beside a law of one's own")
+        gains = "proportional", "derivative", "crossover", "adaptation"
+        refuse_changed(self, self.law, "a law", *gains, "reach", "compensation", "allocation_cost")
 
     def numbers(self, sample_time: float, camera_delay: float) -> np.void:
         """

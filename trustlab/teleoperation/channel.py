@@ -10,6 +10,7 @@ import numpy as np
 
 from trustlab.models.checks import finite_numbers, of_class, one_of, positive, shown
 from trustlab.models.compiled import njit
+from trustlab.models.records import signals
 from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.ports import waves
 from trustlab.teleoperation.ports.waves import (
@@ -20,7 +21,6 @@ from trustlab.teleoperation.ports.waves import (
     check_scale,
     read_waves,
 )
-from trustlab.teleoperation.records import signals
 
 
 class ChannelRun(NamedTuple):

@@ -1,7 +1,4 @@
-"""
-Communication delays: numbers, functions of time, random walks, and traces of packets; and the
-recurrence of coloured noise.
-"""
+"""Communication delays: numbers, functions of time, random walks, and traces of packets."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -18,7 +15,6 @@ from trustlab.models.checks import (
     positive,
     whole_seed,
 )
-from trustlab.models.compiled import njit
 
 SLACK = 1e-9
 
@@ -242,22 +238,3 @@ def delays_in_samples(
         row[:] = delay.samples(count, sample_time) / sample_time
     whole = np.round(delays)
     return np.where(np.abs(delays - whole) < 1e-6, whole, delays)
-
-
-def coloured(count: int, columns: int, time: float, step: float, rng) -> np.ndarray:
-    """Return noise of unit variance with this correlation time, shape (count, columns)."""
-    keep = np.exp(-step / time)
-    fresh, white = np.sqrt(1.0 - keep**2), rng.normal(size=(count, columns))
-    white[0] /= fresh  # as large at the start as later
-    return first_order(white, fresh, keep)
-
-
-@njit
-def first_order(u, gain, keep):
-    """Return y(k) = keep y(k − 1) + gain u(k) of every column, from rest."""
-    y = np.empty_like(u)
-    for i in range(u.shape[1]):
-        now = 0.0
-        for k in range(u.shape[0]):
-            y[k, i] = now = keep * now + gain * u[k, i]
-    return y

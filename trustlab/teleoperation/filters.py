@@ -17,9 +17,8 @@ from trustlab.models.checks import (
     of_class,
     positive,
 )
-from trustlab.teleoperation.delays import first_order
+from trustlab.models.records import first_order, signals
 from trustlab.teleoperation.ports.device import PassivityError
-from trustlab.teleoperation.records import signals
 
 SLACK = 1e-12
 

@@ -14,10 +14,10 @@ from trustlab.allocation.limits import check_thresholds
 from trustlab.allocation.rules import decision, performance_suggestion, prepared_rule
 from trustlab.models.checks import Seed, one_of, shown, warn, whole_seed
 from trustlab.models.compiled import inner
+from trustlab.models.records import columns_of
 from trustlab.models.tsc import TscModel, next_utilization, performance_at, threshold_mode
 from trustlab.operators.ground_robot import Operator
 from trustlab.sessions.session import Metadata
-from trustlab.teleoperation.records import columns_of
 
 # Who allocates: modes from outside (a sequence or a rule), the operator, suggestions by (2.8), by
 # Algorithm 2, at random.

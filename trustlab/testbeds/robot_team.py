@@ -13,6 +13,7 @@ import pandas as pd
 from trustlab.models.checks import (
     Seed,
     between,
+    changes,
     finite_array,
     finite_numbers,
     of_class,
@@ -20,9 +21,10 @@ from trustlab.models.checks import (
     spawned,
     whole_number,
 )
+from trustlab.models.records import coloured
 from trustlab.models.simulation import Loop, PartError, Simulation, View, filled
 from trustlab.models.trust import trust_step
-from trustlab.teleoperation.delays import both_ways, coloured, delays_in_samples
+from trustlab.teleoperation.delays import both_ways, delays_in_samples
 from trustlab.teleoperation.filters import corrected_filter
 from trustlab.teleoperation.ports import device as haptic
 from trustlab.teleoperation.ports.waves import accounts
@@ -82,7 +84,7 @@ def simulate_team(
     ValueError
         If an argument is not understood, before anything runs.
     PartError
-        If a policy of your own raises an error: policy and time are named.
+        If a policy raises an error or picks who cannot lead: policy and time are named.
     DivergenceError
         If the run grows without bound; time and block are named.
 
@@ -121,7 +123,7 @@ class TeamLoop(Loop):
     policy : {"most_trusted", "hysteresis", "sequence", "random"} or LeaderPolicy
         Who leads; decided every 0.1 s, or every sample where samples are longer. Your own policy is
         any object with a `title` and a method `leader(now)`, called at every decision with a
-        `TeamSituation` (time, trust, positions, who is present, a memory of its own), which returns
+        `TeamSituation` (time, trust, positions, who may lead, a memory of its own), which returns
         the number of the leader. Each leads for τ_min at least, unless it leaves the team: a wish
         to switch waits until then.
     goal : array_like, shape (3,)
@@ -148,8 +150,8 @@ class TeamLoop(Loop):
 
     Attributes
     ----------
-    state
-        The state after the last sample: every signal and energy of `TeamRun.table()`, by name.
+    state : View
+        The last sample as a row of `TeamRun.table()`: every signal and energy, by name.
     robots : tuple
         Names.
     simulation : Simulation
@@ -179,15 +181,12 @@ class TeamLoop(Loop):
         goal=(1.0, 2.0, 0.5),
         seed: Seed = 0,
         duration: float = 300.0,
-        operator: TeamOperator | None = None,
-        settings: TeamSettings | None = None,
-        trial: TeamTrial | None = None,
+        operator: TeamOperator = OPERATOR,
+        settings: TeamSettings = SETTINGS,
+        trial: TeamTrial = TRIAL,
         performance: str = "motion",
         trust: TrustDynamics | TrustInLoop | None = None,
     ):
-        operator = OPERATOR if operator is None else operator
-        settings = SETTINGS if settings is None else settings
-        trial = TRIAL if trial is None else trial
         self.seed = seed
         self.remedy = (
             "push less, switch the scattering with the leader, or use a filter that is passive"
@@ -196,20 +195,20 @@ class TeamLoop(Loop):
         self._performance = one_of("performance", performance, ("motion", "random"))
         self._settings = of_class("settings", settings, TeamSettings)
         self._trial = of_class("trial", trial, TeamTrial)
-        of_class("operator", operator, TeamOperator)
+        self._operator = of_class("operator", operator, TeamOperator)
         driver = None
         if trust is not None:
             driver = of_class("trust", TrustInLoop.of(trust), TrustInLoop, "see trust.MODELS")
         self.robots, self._graphs = graphs_in_time(graph, trial.require_connected)
         self._goal = finite_array("goal", goal, length=3)
-        begins, drawn, rng, faults = map(np.random.default_rng, spawned(seed, 4))
+        begins, drawn, rng, *faults = map(np.random.default_rng, spawned(seed, 5))
         T = trial.sample_time
         self.count = round(between("duration", duration, 10.0 * T, MOST_SAMPLES * T) / T)
         per_decision = max(round(DECISION / T), 1)
         self._step = per_decision * T
         self._decisions = int(np.ceil(duration / self._step)) + 1
-        self.simulation = self._begin(operator, per_decision, begins, faults)
-        self.state = View(self.simulation.state.now)
+        self.simulation = self._begin(per_decision, begins, *faults)
+        self.state = View(self.simulation.state.shown)
         model = settings.human_to_robot
         self._rates = model.decay(self._step), model.b / model.a
         # Human-to-robot trust, as a share of its range.
@@ -234,6 +233,7 @@ class TeamLoop(Loop):
             t=0.0,
             robots=self.robots,
             present=self._graph.present,
+            may_lead=self._graph.may_lead,
             trust=self._share,
             leader=None,
             since=0.0,
@@ -243,7 +243,7 @@ class TeamLoop(Loop):
             loop=self,
         )
 
-    def _begin(self, operator: TeamOperator, per_decision: int, begins, faults) -> Simulation:
+    def _begin(self, per_decision: int, begins, losses, drifts) -> Simulation:
         """Return the simulation at its start."""
         settings, trial = self._settings, self._trial
         count = self.count
@@ -267,9 +267,9 @@ class TeamLoop(Loop):
             if start.shape != shape:
                 raise ValueError(f"start must have shape {shape}, got {start.shape}")
         distance = start - self._goal
-        draws = faults.random((2, count))  # by these numbers packets are lost
-        drift = 0.5 * T * _drifts(robots, self._decisions, self._step, faults) / root
-        numbers = self._numbers(operator, ends, distance, drift.any(), per_decision)
+        draws = losses.random((count, 2)).T  # by these numbers packets are lost
+        drift = 0.5 * T * _drifts(robots, self._decisions, self._step, drifts) / root
+        numbers = self._numbers(ends, distance, root, drift.any(), per_decision)
         formations = [
             formation_on(graph, settings.coupling, 0.5 * T, root[:, 0]) for graph in self._graphs
         ]
@@ -288,18 +288,17 @@ class TeamLoop(Loop):
         middle, zeta = np.zeros((2, *shape))
         rated, level = np.zeros(robots.size), np.full(robots.size, 0.5)
         waves = np.ones((2, count), bool), *np.zeros((2, count, 3)), accounts()
-        now = np.zeros(1, kernel.STATE)
-        state = kernel.TeamState(now, distance / root, zeta, middle, rated, level, *waves)
+        now, shown = np.zeros((2, 1), kernel.STATE)
+        state = kernel.TeamState(now, shown, distance / root, zeta, middle, rated, level, *waves)
         records = setup, state, inputs, log
         return Simulation(kernel.lead_team, *records, self._decide, per_decision, kernel.BLOCKS, T)
 
-    def _numbers(
-        self, operator, ends: list, distance, drifting: bool, per_decision: int
-    ) -> np.void:
+    def _numbers(self, ends: list, distance, root, drifting: bool, per_decision: int) -> np.void:
         """Return the constants of operator and channel, a record of NUMBERS."""
-        settings, trial = self._settings, self._trial
+        settings, trial, operator = self._settings, self._trial, self._operator
         T, filters = trial.sample_time, settings.channel.filters
-        budget = operator.budget * (1.0 + 0.5 * float(np.sum(distance**2)))
+        stored = 0.5 * float(np.sum((distance / root) ** 2)) / min(settings.lead_gain, 1.0)
+        budget = operator.budget * (1.0 + stored)
         corrected = corrected_filter(CUTOFF, float(np.mean([end.b for end in ends])))
         pole = 0.5 * T * CUTOFF
         low_pass = filled(
@@ -319,6 +318,7 @@ class TeamLoop(Loop):
             filtering=filters == "waves",
             cutoff=CUTOFF,
             gain=min(end.gain for end in ends),
+            goal=self._goal,
             push=operator.stiffness(self._delay),
             budget=budget,
             reserve=operator.reserve * budget,
@@ -397,12 +397,13 @@ class TeamLoop(Loop):
         DivergenceError
             If the run grows without bound.
         """
+        able = self._able()
+        if leader not in (None, *able):
+            raise ValueError(f"leader must be one of {able}, got {leader!r}")
+        stop = self._held(whole_number("samples", samples), hand)
         if leader is not None:
-            able = self._able()
-            if leader not in able:
-                raise ValueError(f"leader must be one of {able}, got {leader!r}")
             self._named = self.robots.index(leader)
-        self._advance_by(whole_number("samples", samples), hand)
+        self._advance(stop)
         return self.state
 
     # --- decisions --------------------------------------------------------------------------------
@@ -448,49 +449,45 @@ class TeamLoop(Loop):
     def _choose(self, t: float) -> int:
         """Return who leads: whom the operator named, or else the policy's pick, after τ_min."""
         graph = self._graph
-        trust = np.where(graph.present, self.trust, -np.inf)
+        able = graph.may_lead
+        trust = np.where(able, self.trust, -np.inf)
         # A new one at each decision: a policy may keep those before.
-        self._now = now = replace(self._now, t=t, present=graph.present, trust=trust)
-        if self._named is not None and not graph.may_lead[self._named]:
+        self._now = now = replace(self._now, t=t, present=graph.present, may_lead=able, trust=trust)
+        if self._named is not None and not able[self._named]:
             self._named = None
         pick = self._asked(now) if self._named is None else self._named
-        if not graph.may_lead[pick]:
-            why = "not all others see, directly or through others, so that it cannot lead them"
-            why = why if graph.present[pick] else "is not in the team then"
-            raise ValueError(
-                f"at t = {t:g} s the policy picks robot {self.robots[pick]!r}, which {why}; who "
-                f"can: {self._able()}"
-            )
         if pick != now.leader:
-            if not now.free and graph.may_lead[now.leader]:
+            if not now.free:
                 self._waits += 1
                 return now.leader
             now.leader, now.since = pick, t
         return pick
 
     def _asked(self, now: TeamSituation) -> int:
-        """Return whom the policy picks."""
+        """Return whom the policy picks, who can lead."""
         try:
             pick = self._policy.leader(now)
+            pick = whole_number("the number of a robot", pick, 0, len(self.robots) - 1)
+            if not now.may_lead[pick]:
+                why = "not all others see, directly or through others, so that it cannot lead them"
+                why = why if now.present[pick] else "is not in the team then"
+                raise ValueError(f"robot {self.robots[pick]!r}, {why}; who can: {self._able()}")
         except Exception as error:
             raise PartError(
-                f"the leader policy {self._policy.title!r} raised {type(error).__name__}: {error}, "
-                f"at t = {now.t:g} s"
+                f"the leader policy {self._policy.title!r}, at t = {now.t:g} s: "
+                f"{type(error).__name__}: {error}"
             ) from error
-        return whole_number(
-            f"the policy's answer at t = {now.t:g} s", pick, least=0, most=len(self.robots) - 1
-        )
+        return pick
 
     # --- the run ----------------------------------------------------------------------------------
 
     def so_far(self) -> TeamRun:
         """Return the run so far."""
         run, T = self.simulation, self._trial.sample_time
-        rows = np.arange(0, run.done, self._trial.samples_per_row)
+        rows = np.arange(0, self._done, self._trial.samples_per_row)
         graphs = run.inputs["graph"][rows]
         states = run.log.table[: rows.size].view(float).reshape(rows.size, -1)
         table = states[:, : len(kernel.COLUMNS)].copy()
-        table[:, :3] += self._goal  # where the leader is
         t = pd.Index(np.round(T * rows, 9), name="t")
         places = run.log.places[: rows.size] * run.setup.robots["root"][:, None] + self._goal
         present = np.array([graph.present for graph in self._graphs])
@@ -501,10 +498,12 @@ class TeamLoop(Loop):
             "seed": str(self.seed),
             "delay": self._delay,
             "min_dwell": self._dwell,
-            "sample_time": T,
             "note": NOTE,
             "performance": self._performance,
             "trust": self._trust_title,
+            "operator": changes(self._operator, OPERATOR),
+            "settings": changes(self._settings, SETTINGS),
+            "trial": changes(self._trial, TRIAL),
             "waits": self._waits,
         }
         return TeamRun(
@@ -514,6 +513,7 @@ class TeamLoop(Loop):
             pd.DataFrame(table, t, list(kernel.COLUMNS)),
             places,
             np.array(self._levels)[rows // run.every],
+            np.round(T * (np.flatnonzero(np.diff(run.inputs["lead"][: run.done])) + 1), 9),
             run.setup.numbers["budget"].item(),
             self._trial.tolerance,
             facts,
@@ -522,11 +522,8 @@ class TeamLoop(Loop):
 
 def _drifts(robots: np.ndarray, decisions: int, step: float, rng) -> np.ndarray:
     """Return velocities by which robots drift, drawn, shape (M, N, 3)."""
-    velocities = np.zeros((decisions, robots.size, 3))
-    drifts = robots["drift"] > 0.0
-    noise = coloured(decisions, 3 * drifts.sum(), DRIFT_TIME, step, rng)
-    velocities[:, drifts] = noise.reshape(decisions, 3, drifts.sum()).transpose(0, 2, 1)
-    return velocities * robots["drift"][:, None]
+    noise = coloured(decisions, 3 * robots.size, DRIFT_TIME, step, rng)
+    return noise.reshape(decisions, -1, 3) * robots["drift"][:, None]
 
 
 def _drawn(decisions: int, robots: int, rate: float, rng) -> tuple[np.ndarray, np.ndarray]:
@@ -536,7 +533,7 @@ def _drawn(decisions: int, robots: int, rate: float, rng) -> tuple[np.ndarray, n
     """
     performance, start = np.empty((decisions, robots)), np.empty(robots)
     for robot, stream in enumerate(rng.spawn(robots)):
-        anew = stream.random(decisions) < rate
-        performance[:, robot] = stream.random(decisions + 1)[np.cumsum(anew)]
-        start[robot] = stream.random()
+        draws = stream.random((decisions + 1, 2))
+        performance[:, robot] = draws[np.cumsum(draws[1:, 0] < rate), 1]
+        start[robot] = draws[0, 0]
     return performance, start

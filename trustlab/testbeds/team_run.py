@@ -41,7 +41,8 @@ class TeamRun(Result):
     robots : tuple
         Names.
     graphs : tuple of (float, numpy.ndarray)
-        When each graph began [s], and its a_ij, shape (N, N).
+        From when each graph was given [s], to hold from the next decision on, and its a_ij, shape
+        (N, N).
     goal : numpy.ndarray, shape (3,)
         r_q [m].
     data : pandas.DataFrame
@@ -50,6 +51,8 @@ class TeamRun(Result):
         q_i at the recorded times [m]; NaN while a robot is not in the team.
     trust : numpy.ndarray, shape (K, N)
         Human-to-robot trust (4.1) in every robot.
+    switches : numpy.ndarray
+        Times at which another robot took over [s], recorded or not.
     budget : float
         β_h of (4.30) [J].
     tolerance : float
@@ -64,6 +67,7 @@ class TeamRun(Result):
     data: pd.DataFrame
     positions: np.ndarray
     trust: np.ndarray
+    switches: np.ndarray
     budget: float
     tolerance: float
     facts: dict
@@ -111,11 +115,6 @@ class TeamRun(Result):
     def operator_passive(self) -> bool:
         """Whether V_h ≥ −β_h held throughout (4.30)."""
         return bool(self.data["v_h"].min() >= -self.budget)
-
-    @property
-    def switches(self) -> np.ndarray:
-        """Times at which another robot took over [s]."""
-        return self.t[1:][np.diff(self.data["number"]) != 0.0]
 
     @property
     def title(self) -> str:
@@ -192,7 +191,7 @@ class TeamRun(Result):
         Parameters
         ----------
         axes : sequence of four matplotlib.axes.Axes, optional
-            Where; a new figure when not given.
+            Where, in this order; a new figure when not given.
 
         Returns
         -------
@@ -204,10 +203,6 @@ class TeamRun(Result):
             If there are not four axes.
         """
         axes = axes_or_new(axes, 4, title=self.title, sharex=True, figsize=(8.0, 8.4))
-        if np.size(axes) != 4:
-            raise ValueError(
-                "axes must be four Matplotlib axes: distances, leader, force, energies"
-            )
         distance, leader, force, energy = np.ravel(axes)
         t, data = self.t, self.data
         distance.semilogy(t, np.maximum(self.distances, 1e-9), lw=0.8, color="C0", alpha=0.6)

@@ -16,6 +16,7 @@ from trustlab.models.checks import (
 )
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.teleoperation.team.decisions import POLICIES, policy_named
+from trustlab.teleoperation.team.graphs import graphs_in_time
 from trustlab.teleoperation.team.settings import TeamOperator, TeamRobot, TeamSettings, TeamTrial
 from trustlab.testbeds.deciding import check_rules
 from trustlab.testbeds.populations import drawn_people
@@ -54,8 +55,8 @@ class RobotTeam(Checked):
     duration : float
         Length of each run [s].
     blocks : TeamSettings, optional
-        Device, channel, trust and gains; gains with which such a team arrives within some 40 s when
-        not given.
+        Device, channel, trust and gains, without robots; gains with which such a team arrives
+        within some 40 s when not given.
     rules : mapping of str to callable, optional
         Conditions of one's own by name: what makes the policy, called for each run.
 
@@ -96,9 +97,12 @@ class RobotTeam(Checked):
         graph = self.graph
         if graph is None:
             after = np.roll(np.eye(len(robots)), 1, axis=0)
-            graph = after + after.T
+            graph = np.maximum(after, after.T)
         settings = TeamSettings.scaled(graph, 40.0) if self.blocks is None else self.blocks
         blocks = replace(of_class("blocks", settings, TeamSettings), robots=robots)
+        if settings.robots not in (TeamSettings.robots, robots):
+            raise ValueError("the robots of blocks would do nothing: give robots=…")
+        blocks.per_robot(len(graphs_in_time(graph, True)[0]))  # refused if they are too few
         conditions = (*POLICIES, *self.rules)
         self.__dict__.update(robots=robots, graph=graph, blocks=blocks, conditions=conditions)
 
@@ -122,7 +126,8 @@ class RobotTeam(Checked):
         seed : int
             Seed of the draws.
         """
-        assumed = checked_assumptions(assumptions, dict.fromkeys(HAND, (0.0, 1e3)))
+        assumed: Any = checked_assumptions(assumptions, dict.fromkeys(HAND, (0.0, 1e3)))
+        TeamOperator(**assumed)  # refused now, not in every run
 
         def draw(number: int, rng: np.random.Generator) -> dict[str, float]:
             shares = rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, len(HAND))

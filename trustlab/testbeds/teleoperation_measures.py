@@ -129,7 +129,7 @@ def plot_energies(session: Session, axes=None):
     Raises
     ------
     ValueError
-        If `session` is not a Session, or lacks a column.
+        If `session` is not a Session, or lacks a column, or there are not two axes.
     """
     of_class("session", session, Session).require(*ENERGIES[0], *ENERGIES[1])
     axes = axes_or_new(axes, columns=2, title=session.label, figsize=(8.6, 4.2))

@@ -15,6 +15,7 @@ from trustlab.allocation.rules import prepared_rule
 from trustlab.models.checks import (
     Checked,
     NotNegative,
+    Positive,
     Seed,
     of_class,
     one_of,
@@ -397,7 +398,7 @@ class UavTracking(Checked, Testbed):
     measures = ("tracking_error", "p_r", "p_h", "hand_force")
     setting_names = ("duration",)
 
-    duration: float = 120.0
+    duration: Positive = 120.0
     population: TeleoperatorPopulation = field(default_factory=TeleoperatorPopulation)
 
     def run(self, condition: str, person: Person, seed: Seed) -> SimpleNamespace:

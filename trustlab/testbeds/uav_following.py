@@ -13,9 +13,9 @@ import numpy as np
 
 from trustlab.models.checks import Seed, spawned
 from trustlab.models.compiled import inner, njit
+from trustlab.models.records import record
 from trustlab.models.simulation import Simulation, filled
 from trustlab.operators.ground_robot import Operator
-from trustlab.teleoperation.records import record
 from trustlab.testbeds import deciding
 from trustlab.testbeds.deciding import COUNTS, FLAGS, NUMBERS, SAMPLE_TIME, Task
 from trustlab.testbeds.ground_robot.course import size

@@ -20,21 +20,24 @@ from trustlab.models.checks import (
     NotNegative,
     Positive,
     Seed,
+    array_between,
     between,
+    changes,
     finite_numbers,
     function,
     of_class,
     one_of,
+    refuse_changed,
     shown,
     spawned,
 )
+from trustlab.models.records import coloured
 from trustlab.models.simulation import Loop, Simulation, View, compiled_for, filled
 from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
 from trustlab.teleoperation.delays import (
     both_ways,
-    coloured,
     delays_in_samples,
     random_walk_delay,
 )
@@ -57,6 +60,8 @@ from trustlab.teleoperation.loop.settings import (
     LoopSettings,
     Scheme,
     blending_cost,
+    bounds_of,
+    described,
     guidance_named,
     optimal_share,
     scheme_named,
@@ -66,7 +71,7 @@ from trustlab.teleoperation.loop.settings import (
 )
 from trustlab.teleoperation.ports import device as haptic
 from trustlab.teleoperation.ports.device import METHODS
-from trustlab.teleoperation.ports.waves import Scattering, accounts, check_scale
+from trustlab.teleoperation.ports.waves import accounts
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
@@ -107,7 +112,8 @@ class TrackingTask(Checked):
     camera_delay : float
         How late pictures arrive at the operator and the controller [s]; at least one sample.
     proportional, integral, derivative : float
-        Gains of the hovering PID controller.
+        Gains of the hovering PID controller; scheme OMI predicts with the first and the last,
+        whoever flies.
     reach : float
         Its largest command on each axis [m/s].
     view : float
@@ -115,7 +121,8 @@ class TrackingTask(Checked):
         from above; without bound when not given (10⁶ m). A target that leaves it is lost until it
         is back: the operator looks where it was last seen, the controller hovers.
     autonomy : callable, optional
-        f(state) → u_a [m/s], shape (3,), in place of the PID controller on `state.picture`.
+        f(state) → u_a [m/s], shape (3,), in place of the PID controller on `state.picture`; like
+        that it hovers, and is not asked, while `state.finds` is False.
     vehicle : three TransferFunction, callable or (A, B, C), optional
         Command to velocity per axis; `tracking_vehicle()` when not given. Or f(state) → position
         [m] and velocity [m/s] a sample later, shape (3,) each, under `state.command`. Or the
@@ -125,7 +132,7 @@ class TrackingTask(Checked):
     Raises
     ------
     ValueError
-        If a number is not finite or out of range.
+        If a number is not finite or out of range, or does nothing beside `autonomy`.
 
     Examples
     --------
@@ -152,6 +159,7 @@ class TrackingTask(Checked):
 
     def __post_init__(self):
         super().__post_init__()
+        refuse_changed(self, self.autonomy, "a controller", "integral", "reach")
         if is_state_space(self.vehicle):
             state_space(*self.vehicle)
         elif not (self.vehicle is None or callable(self.vehicle)):
@@ -230,7 +238,7 @@ class TeleoperationLoop(Loop):
         that they replace. Without NaN: `push`, a force [N] added to the hand's, shape (N, 3), and
         `arrives`, bool of shape (N, 2), whether the waves sent to the robot and back in a sample
         arrive. `decisions` of another loop repeats its run without its functions, with the same
-        seed, task, delays and settings.
+        seed, task, delays, settings, guidance and operator, whose hand moves and shakes as it did.
 
     Attributes
     ----------
@@ -273,24 +281,34 @@ class TeleoperationLoop(Loop):
         self.seed, self.guidance = seed, guidance_named(guidance)
         self.remedy = "lower k_ffa, the hand's gains or the sample time, or see which guard is off"
         study = self.settings.study
-        if operator is None or callable(operator):
-            operator = Teleoperator(reach=REACH[study], law=operator or "proportional")
+        if operator is None:
+            operator = Teleoperator(reach=REACH[study])
+        elif callable(operator):
+            operator = Teleoperator(law=operator)
         self.operator = of_class("operator", operator, Teleoperator)
         self.task = of_class("task", TASKS[study] if task is None else task, TrackingTask)
-        hooks = self._functions(trust)
-        ends, T = self.settings.scattering, self.settings.sample_time
+        trust = TrustInLoop.of(trust)
+        start = trust.start if isinstance(trust, TrustInLoop) else 0.5
+        hooks, T = self._functions(trust), self.settings.sample_time
         duration = between("duration", duration, 10.0 * T, min(1e5, 5e6 * T))
         self.count = count = round(duration / T)
-        given = checked_signals(signals, count, ends)
+        self._bounds = bounds_of(self.settings)
+        given = checked_signals(signals, count, self._bounds)
+        if not self.scheme.bilateral:
+            idle = [name for name in ("force", "budget") if getattr(self.guidance, name)]
+            for name in [*idle, *given.keys() & {"guiding", "arrives"}]:
+                raise ValueError(
+                    f"{name} would do nothing in scheme {self.scheme.name}: no force comes back"
+                )
         self._asked = ", ".join([*hooks, *(f"{name} as given" for name in given)])
-        start, losses, noise, *ways = spawned(seed, 5)
+        phase, losses, noise, *ways = spawned(seed, 5)
         delays = delays_of(self.settings, delay, count, ways)
         numbers = self._constants(hooks)
-        whole = state_of(self.settings, self.guidance)
+        whole = state_of(self.settings, self.guidance, start)
         self.state = View(whole)
         if self.scheme.shares == "optimal":
             hooks["scheme"] = optimal(numbers, whole)
-        inputs = drawn(self.settings, self.task, self.operator, count + 1, (start, losses, noise))
+        inputs = drawn(self.settings, self.task, self.operator, count + 1, (phase, losses, noise))
         arrives = np.ones((2, count), bool)
         for name, signal in given.items():
             if name == "arrives":
@@ -299,7 +317,8 @@ class TeleoperationLoop(Loop):
                 inputs[name][:-1] = signal
         # Inputs and delays have a row more than the log: padding, for a pause that nobody uses.
         follows_error = self.guidance.where == "through_channel"
-        decide = asking(hooks, self.state, whole, ends, follows_error) if hooks else None
+        told = self.state, whole, {"alpha", *given}, self._bounds, follows_error
+        decide = asking(hooks, *told) if hooks else None
         setup = LoopSetup(numbers, np.pad(delays, ((0, 0), (0, 1)), "edge"), arrives)
         self.simulation = Simulation(
             teleoperate,
@@ -317,7 +336,6 @@ class TeleoperationLoop(Loop):
         settings, vehicle = self.settings, self.task.vehicle
         if is_state_space(vehicle):
             vehicle = state_space(*vehicle)
-        trust = TrustInLoop.of(trust)
         if isinstance(trust, TrustInLoop):
             ranges = settings.human_to_robot, settings.robot_to_human
             trust = trust.part(*ranges, settings.sample_time)
@@ -415,11 +433,10 @@ class TeleoperationLoop(Loop):
         DivergenceError
             If the run grows without bound.
         """
-        if alpha is not None and self.simulation.done < self.count:
-            ends = self.settings.scattering
-            share = between("alpha", alpha, ends.alpha_min, ends.alpha_max)
-            self.simulation.inputs["alpha"][self.simulation.done] = share
-        self._advance_by(1, hand)
+        given = {}
+        if alpha is not None:
+            given["alpha"] = between("alpha", alpha, *self._bounds["alpha"])
+        self._advance(self._held(1, hand, **given))
         return self.state
 
     @property
@@ -432,23 +449,25 @@ class TeleoperationLoop(Loop):
         inputs = run.inputs[: run.done]
         signals = {name: inputs[name].copy() for name in (*DECIDED.names, "push")}
         signals = {name: rows for name, rows in signals.items() if not np.isnan(rows).all()}
-        return signals | {"arrives": run.setup.arrives[:, : run.done].T.copy()}
+        arrives = {"arrives": run.setup.arrives[:, : run.done].T.copy()}
+        return signals | arrives if self.scheme.bilateral else signals
 
     @property
     def session(self) -> Session:
         """The run so far: every signal and every port's energy, labelled synthetic."""
-        done = self.simulation.done  # once: another thread may step meanwhile, as in a notebook
+        done = self._done  # once: another thread may step meanwhile, as in a notebook
         rows = self.simulation.log[:done].view(float).reshape(done, -1)
         t = pd.Index(np.round(self.settings.sample_time * np.arange(done), 9), name="t")
         data = pd.DataFrame(rows[:, : len(COLUMNS)].copy(), t, COLUMNS)
-        guidance = self.guidance
+        study, delays = self.settings.study, self.simulation.setup.delays[:, :done]
         facts = {
-            "study": self.settings.title,
+            **described(self.settings),
             "scheme": self.scheme.title,
             "seed": str(self.seed),
-            "guard": guidance.guard,
-            "guidance": guidance.where,
-            "budget": str(guidance.budget) if guidance.budget else "none",
+            "guidance": changes(self.guidance, Guidance()),
+            "task": changes(self.task, TASKS[study]),
+            "operator": changes(self.operator, Teleoperator(reach=REACH[study])),
+            "samples of delay": f"{delays.min():.3g} to {delays.max():.3g}",
             "parts": self._asked or "built-in",
             "note": NOTE,
         }
@@ -517,7 +536,7 @@ def simulate_teleoperation(
     return TeleoperationLoop(scheme, operator, study, seed, duration, **options).run()
 
 
-def checked_signals(signals: Any, count: int, ends: Scattering) -> dict[str, np.ndarray]:
+def checked_signals(signals: Any, count: int, bounds: Mapping) -> dict[str, np.ndarray]:
     """Return what comes from outside as arrays by name, checked."""
     if not isinstance(signals, Mapping | None):
         raise ValueError(f"signals must map names to arrays, got {shown(signals)}")
@@ -531,9 +550,10 @@ def checked_signals(signals: Any, count: int, ends: Scattering) -> dict[str, np.
         array = checked[name] = array.astype(float)
         # where nothing is decided all of a row is NaN
         decided = ~np.isnan(array.reshape(count, -1)).all(axis=1) | (name not in DECIDED.names)
-        finite_numbers(name, np.where(decided.reshape(-1, *[1] * (array.ndim - 1)), array, 0.0))
-        if name in ("alpha", "beta"):
-            check_scale(name, array[decided], ends)
+        finite_numbers(name, np.where(decided, array.T, 0.0).T)
+        if name in bounds and decided.any():
+            low, high = bounds[name]
+            array_between(name, array[decided], low, high, "the loop's settings")
     return checked
 
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from trustlab.models.checks import finite_numbers
 from trustlab.models.simulation import DivergenceError as DivergenceError, PartError, View
-from trustlab.teleoperation.ports.waves import Scattering
 
 # What a user's function decides, in the order in which they are asked. Where the vehicle went and
 # how trust changed follow from the sample before: these two are not asked at the start.
@@ -29,52 +28,54 @@ FOLLOWING = ("vehicle", "trust")
 
 VECTORS = ("robot", "velocity", "u_a", "wanted", "guiding")
 
-SLACK = 1e-12
-
 
 def asking(
     hooks: Mapping[str, Callable],
     view: View,
     records: np.ndarray,
-    ends: Scattering,
+    given: set[str],
+    bounds: Mapping[str, tuple[float, float]],
     follows_error: bool,
 ) -> Callable:
     """
     Return the `decide` of a `Simulation` that asks these functions in turn.
 
-    records: those that `view` reads; later functions see there what earlier ones decided. ends: the
-    bounds of the scales (3.1). follows_error: whether the guiding force follows the error of the
-    moment, not the picture. What the inputs hold already, given from outside, prevails.
+    records: those that `view` reads; later functions see there what earlier ones decided. given:
+    what may come from outside, where it prevails, and is seen, too. bounds: of scales and trust.
+    follows_error: whether the guiding force follows the error of the moment, not the picture.
+    A controller that has lost its target is not asked: it hovers.
     """
     row = records["now"]
-    bounds = {
-        "alpha": (ends.alpha_min, ends.alpha_max),
-        "beta": (ends.beta_min, ends.beta_max),
-    }
     fields = {
         name: (row if name in row.dtype.names else records)[name]
         for names in HOOKS.values()
         for name in names
     }
 
+    parts = {part: names for part, names in HOOKS.items() if part in hooks or given & {*names}}
+
     def decide(_: Any, inputs: np.ndarray) -> None:
-        for part, names in HOOKS.items():
-            if part not in hooks or (part in FOLLOWING and view.t == 0.0):
-                continue
-            try:
-                values = hooks[part](view)
-                values = values if len(names) > 1 else (values,)
-                for name, value in zip(names, values, strict=True):
-                    value = checked(name, value, bounds)
-                    if math.isnan(inputs[name].item(0)):
-                        inputs[name] = value
-                    fields[name][:] = inputs[name]
-            except Exception as error:
-                fault = str(error)
-                if not isinstance(error, ReturnedError):
-                    fault = f"raised {type(error).__name__}: {fault}"
-                raise PartError(f"the {part} of this loop {fault}, at t = {view.t:g} s") from error
-            if part == "vehicle":
+        for part, names in parts.items():
+            rests = part in FOLLOWING and view.t == 0.0
+            if part in hooks and not (rests or (part == "autonomy" and not view.finds)):
+                try:
+                    values = hooks[part](view)
+                    values = values if len(names) > 1 else (values,)
+                    for name, value in zip(names, values, strict=True):
+                        value = checked(name, value, bounds)
+                        if math.isnan(inputs[name].item(0)):
+                            inputs[name] = value
+                except Exception as error:
+                    fault = str(error)
+                    if not isinstance(error, ReturnedError):
+                        fault = f"raised {type(error).__name__}: {fault}"
+                    raise PartError(
+                        f"the {part} of this loop {fault}, at t = {view.t:g} s"
+                    ) from error
+            known = [name for name in names if not math.isnan(inputs[name].item(0))]
+            for name in known:
+                fields[name][:] = inputs[name]
+            if "robot" in known:
                 row["error"] = row["reference"] - row["robot"]
                 row["path_error"] = np.sqrt((row["error"] ** 2).sum())
                 if follows_error:
@@ -88,17 +89,15 @@ class ReturnedError(ValueError):
 
 
 def checked(name: str, value: Any, bounds: Mapping[str, tuple[float, float]]) -> Any:
-    """Return what a function decided: finite, three numbers for a vector, a scale within (3.1)."""
+    """Return what a function decided: finite, three numbers for a vector, and within its bounds."""
     if name in VECTORS:
         value = np.asarray(value, float)
         valid = value.shape == (3,) and np.isfinite(value).all()
         wanted = "three finite numbers are wanted, for x, y and z"
-    elif name in bounds:
-        low, high = bounds[name]
-        valid = low * (1.0 - SLACK) <= value <= high * (1.0 + SLACK)
-        wanted = f"it must lie in [{low:g}, {high:g}], for which the channel's ends are set (3.1)"
     else:
-        valid, wanted = np.isfinite(value), "a finite number is wanted"
+        low, high = bounds[name]
+        valid = low <= value <= high
+        wanted = f"it must lie in [{low:g}, {high:g}], as the loop's settings have it"
     if not valid:
         raise ReturnedError(f"returned {name} = {value}; {wanted}")
     return value

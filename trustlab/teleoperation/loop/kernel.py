@@ -11,11 +11,11 @@ state, now: the row of the log.
 import numpy as np
 
 from trustlab.models.compiled import njit
+from trustlab.models.records import AXES, step
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.device import activation, demanded
 from trustlab.teleoperation.ports.waves import LEDGER, dot, read_waves
-from trustlab.teleoperation.records import AXES, step
 
 BLOCKS = ("the haptic device", "the channel", "the robot")
 DEVICE, CHANNEL, ROBOT = range(3)

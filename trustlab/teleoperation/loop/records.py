@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.allocation.blending import DEGREE
+from trustlab.models.records import columns_of, record
 from trustlab.teleoperation.ports.device import DEVICE
 from trustlab.teleoperation.ports.waves import END
-from trustlab.teleoperation.records import columns_of, record
 
 # A row of the log: the state before the sample and the signals of the sample.
 LOGGED = record(

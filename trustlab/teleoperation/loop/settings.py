@@ -11,7 +11,16 @@ from typing import Annotated
 import numpy as np
 
 from trustlab.allocation.blending import OptimalBlending, best_share
-from trustlab.models.checks import Checked, NotNegative, Positive, not_negative, one_of, shown
+from trustlab.models.checks import (
+    Checked,
+    NotNegative,
+    Positive,
+    changes,
+    named,
+    not_negative,
+    one_of,
+    shown,
+)
 from trustlab.models.compiled import njit
 from trustlab.models.display import axes_or_new
 from trustlab.models.simulation import filled
@@ -21,6 +30,9 @@ from trustlab.teleoperation.loop.kernel import BY_HAND, GUIDANCE, LOGISTIC, MANU
 from trustlab.teleoperation.loop.records import SAMPLE, STATE
 from trustlab.teleoperation.ports.device import METHODS, HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
+
+# By how much, as a share, scales and trust may lie beyond their bounds, for rounding.
+SLACK = 1e-12
 
 
 @dataclass(frozen=True)
@@ -159,9 +171,13 @@ STUDIES = {
 
 def study_named(study: str | LoopSettings) -> LoopSettings:
     """Return the printed settings of a study by name, or own ones as they are."""
-    if isinstance(study, LoopSettings):
-        return study
-    return STUDIES[one_of("study", study, STUDIES, also="LoopSettings")]
+    return named("study", study, LoopSettings, STUDIES)
+
+
+def described(settings: LoopSettings) -> dict[str, str]:
+    """Return what is logged of settings: what they are, and how they differ from the printed."""
+    usual = STUDIES[settings.study]
+    return {"study": settings.title, "settings": changes(settings, usual)}
 
 
 # --- schemes ------------------------------------------------------------------------------------
@@ -267,9 +283,7 @@ SCHEMES = {
 
 def scheme_named(name: str | Scheme) -> Scheme:
     """Return the scheme of this name, or one's own as it is."""
-    if isinstance(name, Scheme):
-        return name
-    return SCHEMES[one_of("scheme", name, SCHEMES, also="a trustlab.Scheme")]
+    return named("scheme", name, Scheme, SCHEMES)
 
 
 # --- guidance -----------------------------------------------------------------------------------
@@ -354,14 +368,15 @@ class Guidance(Checked):
         they are for.
     budget : GuidanceBudget, optional
         What guidance at the operator may give out beyond what its port took, so that it is felt; in
-        its place, when not given, is all that the port has earned since the start.
+        its place, when not given, is all that the port has earned since the start. Not with guard
+        "off", which keeps to none.
     force : callable, optional
         f(state) → guiding force [N], shape (3,); −k_ffa e when not given, e being `state.stretch`.
 
     Raises
     ------
     ValueError
-        If a word is unknown, or the budget is for guidance through the channel.
+        If a word is unknown, or nothing keeps to the budget.
 
     Examples
     --------
@@ -382,8 +397,11 @@ class Guidance(Checked):
         super().__post_init__()
         one_of("where", self.where, GUIDANCE)
         one_of("guard", self.guard, METHODS)
-        if self.budget and self.where != "at_operator":
-            raise ValueError(f"budget is for guidance at_operator, got {self.where!r}")
+        if self.budget and (self.where != "at_operator" or self.guard == "off"):
+            raise ValueError(
+                "budget is for guidance at_operator under a guard, got where = "
+                f"{self.where!r} and guard = {self.guard!r}"
+            )
 
 
 def guidance_named(guidance: str | Guidance) -> Guidance:
@@ -393,13 +411,29 @@ def guidance_named(guidance: str | Guidance) -> Guidance:
     return Guidance(one_of("guidance", guidance, GUIDANCE, also="trustlab.teleoperation.Guidance"))
 
 
-def state_of(settings: LoopSettings, guidance: Guidance) -> np.ndarray:
+def bounds_of(settings: LoopSettings) -> dict[str, tuple[float, float]]:
+    """Return bounds of the scales (3.1) and of trust (3.4), with room for rounding."""
+    ends, hr, rh = settings.scattering, settings.human_to_robot, settings.robot_to_human
+    bounds = {
+        "alpha": (ends.alpha_min, ends.alpha_max),
+        "beta": (ends.beta_min, ends.beta_max),
+        "trust_hr": (hr.t_min, 1e300 if hr.allow_unbounded else hr.t_max),
+        "trust_rh": (rh.t_min, 1e300 if rh.allow_unbounded else rh.t_max),
+    }
+    return {
+        name: (low - SLACK * abs(low), high + SLACK * abs(high))
+        for name, (low, high) in bounds.items()
+    }
+
+
+def state_of(settings: LoopSettings, guidance: Guidance, start: float) -> np.ndarray:
     """
     Return the state before the first sample, a record of STATE: scales at their upper bounds, trust
-    mid-way.
+    in the robot at a share of its range, that in the operator mid-way.
     """
     ends, models = settings.scattering, (settings.human_to_robot, settings.robot_to_human)
-    hr, rh = (model.t_min + (model.t_max - model.t_min) * 0.5 for model in models)
+    shares = zip(models, (start, 0.5), strict=True)
+    hr, rh = (model.t_min + (model.t_max - model.t_min) * share for model, share in shares)
     now = filled(SAMPLE, trust_hr=hr, trust_rh=rh, alpha=ends.alpha_max, beta=ends.beta_max)
     account = guidance.budget.energy if guidance.budget else 0.0
     return np.atleast_1d(filled(STATE, settings, ends, now=now, account=account))

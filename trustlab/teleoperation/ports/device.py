@@ -15,7 +15,7 @@ from trustlab.models.checks import (
     rounded_down,
     rounded_up,
 )
-from trustlab.teleoperation.records import block, record
+from trustlab.models.records import block, record
 
 ROUNDING = 1e-12
 

@@ -19,7 +19,7 @@ from trustlab.models.checks import (
     positive,
     whole_number,
 )
-from trustlab.teleoperation.records import block, record
+from trustlab.models.records import block, record
 
 
 class End(NamedTuple):
@@ -279,8 +279,8 @@ class EnergyLedger:
     and order.
 
     Every packet is booked once, with the energy it carries, when it arrives. A read returns the
-    newest wave, scaled down where the balance does not hold its energy. A packet that arrives more
-    than 65,536 numbers after a newer one is refused: it could not be told from a duplicate.
+    newest wave, scaled down where the balance does not hold its energy. A packet that arrives
+    65,536 numbers or more after a newer one is refused: it could not be told from a duplicate.
 
     Parameters
     ----------

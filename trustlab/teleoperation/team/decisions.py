@@ -26,8 +26,10 @@ class TeamSituation:
         Names of all robots that are in the team at any time.
     present : numpy.ndarray, shape (N,)
         Which of them are in it now.
+    may_lead : numpy.ndarray, shape (N,)
+        Which of these all others see, directly or through others.
     trust : numpy.ndarray, shape (N,)
-        Human-to-robot trust (4.1) now; −inf for absent robots, so that argmax never picks them.
+        Human-to-robot trust (4.1) now; −inf for who may not lead, so that argmax never picks them.
     leader : int or None
         Index of the present leader; None at the start.
     since : float
@@ -45,6 +47,7 @@ class TeamSituation:
     t: float
     robots: tuple
     present: np.ndarray
+    may_lead: np.ndarray
     trust: np.ndarray
     leader: int | None
     since: float
@@ -61,10 +64,10 @@ class TeamSituation:
     @property
     def free(self) -> bool:
         """
-        Whether another robot may take over: there is no leader, it has left, or it has led for
-        τ_min.
+        Whether another robot may take over: there is no leader, it may not lead any more, or it has
+        led for τ_min.
         """
-        leads = self.leader is not None and self.present[self.leader]
+        leads = self.leader is not None and self.may_lead[self.leader]
         return not leads or self.t - self.since >= self.dwell - SLACK
 
 
@@ -133,7 +136,7 @@ class GivenSequence:
     Parameters
     ----------
     robots : sequence, optional
-        Names of the robots as the graph has them; all of them in turn when not given.
+        Names of the robots as the graph has them; all who may lead in turn when not given.
     times : array_like, shape (S,), optional
         When each begins to lead [s], the first at 0. When not given, each leads for 2 τ_min, and
         the sequence repeats.
@@ -174,7 +177,8 @@ class GivenSequence:
         now : TeamSituation
             Time, and names of the robots.
         """
-        robots = now.robots if self.robots is None else self.robots
+        able = [now.robots[i] for i in np.flatnonzero(now.may_lead)]
+        robots = able if self.robots is None else self.robots
         for name in robots:
             if name not in now.robots:
                 raise ValueError(
@@ -214,14 +218,16 @@ class RandomLeaders(Checked):
         Parameters
         ----------
         now : TeamSituation
-            Time, and who is present; its memory keeps when the leader goes.
+            Time, and who may lead; its memory keeps when the leader goes.
         """
         leader = now.leader
-        if leader is not None and now.present[leader] and now.t < now.memory["until"] - SLACK:
+        if leader is not None and now.may_lead[leader] and now.t < now.memory["until"] - SLACK:
             return leader
         robots = np.arange(len(now.robots))
         others = robots if leader is None else (leader + 1 + robots[:-1]) % robots.size
-        others = others[now.present[others]]
+        others = others[now.may_lead[others]]
+        if not others.size:
+            return leader
         chosen = others[now.rng.integers(others.size)]
         now.memory["until"] = now.t + now.dwell * (1.0 + now.rng.exponential(self.waiting))
         return int(chosen)

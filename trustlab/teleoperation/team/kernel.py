@@ -11,11 +11,11 @@ from collections import namedtuple
 import numpy as np
 
 from trustlab.models.compiled import njit
+from trustlab.models.records import AXES, block, columns_of, record, step
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.device import DEVICE
 from trustlab.teleoperation.ports.waves import END, LEDGER, dot, read_waves
-from trustlab.teleoperation.records import AXES, block, columns_of, record, step
 
 BLOCKS = ("the haptic device", "the channel", "the team")
 
@@ -73,6 +73,7 @@ UNFILTERED = (0.0, 1.0, 0.0, 0.0)
 # Device, two-port or none, filter of waves, operator and how delays are read; see `TeamSettings`
 # and `TeamOperator`.
 NUMBERS = record(
+    vectors="goal",
     numbers=(
         "sample_time gain cutoff push grip reach drag budget reserve error_range steepness "
         "lead_gain force_gain"
@@ -107,12 +108,13 @@ TeamSetup = namedtuple(
     "TeamSetup", "numbers robots formations stiffness storing delays draws drift"
 )
 
-# What samples hand on; changed in place. now, shape (1,): a record of STATE. q, zeta, shape (N, 3):
+# What samples hand on; changed in place. now, shape (1,): a record of STATE. shown, shape (1,):
+# likewise, the last sample as a row of the log has it. q, zeta, shape (N, 3):
 # distance to the goal and ζ, over √s. middle, shape (N, 3): q in the middle of the sample, first as
 # if the leader were not driven. rated, shape (N,): how well robots moved in the last sample before
 # a decision. trust, shape (N,): in the operator, (4.2). arrives, shape (2, K): whether waves do.
 # u_l, u_r, shape (K, 3): waves. accounts: `waves.accounts()`.
-TeamState = namedtuple("TeamState", "now q zeta middle rated trust arrives u_l u_r accounts")
+TeamState = namedtuple("TeamState", "now shown q zeta middle rated trust arrives u_l u_r accounts")
 
 # samples, shape (K,): records of SAMPLE. table, shape (rows,): records of STATE, every `per_row`
 # samples. places, shape (rows, N, 3): distances to the goal over √s.
@@ -412,9 +414,8 @@ def diverged(state):
 
 
 @step
-def log_places(setup, graph, state, now, places):
-    """Log where the robots are, and set what the formation stores."""
-    now.v_fs = stored_by(setup, graph, state)
+def log_places(state, places):
+    """Log where the robots are."""
     for j in range(state.trust.size):
         for i in AXES:
             places[j, i] = state.q[j, i]
@@ -452,17 +453,24 @@ def lead_team(first, stop, setup, state, inputs, log):
         stiffness = n.force_gain * n.lead_gain * setup.stiffness[graph, lead]
         robot_side(n.filters, leader.far, stiffness, now, state.u_r[k])
         logged, at = k % n.per_row == 0, k // n.per_row
+        shown = logged or k == stop - 1
         if logged:
-            log_places(setup, graph, state, now, log.places[at])
+            log_places(state, log.places[at])
+        if shown:
+            now.v_fs = stored_by(setup, graph, state)
         move(n, matrices, leader, lead, drift, state, now)
         sample.stored, sample.lost = now.v_e, now.error_loss
         for i in AXES:
             sample.sent[i], sample.seen[i] = now.r_s[i], now.leader[i]
-        if logged:
+        if shown:
             now.v_e_delayed = past.stored
             stored = now.v_h + n.budget + now.v_hd + now.v_ch + now.v_fs
             now.v_t = stored + now.v_e_delayed + now.v_filter  # (4.32)
-            log.table[at] = now
+            state.shown[0] = now
+            for i in AXES:
+                state.shown[0].leader[i] += n.goal[i]
+        if logged:
+            log.table[at] = state.shown[0]
         if (k + 1) % n.per_decision == 0:
             rate_motion(n, robots, drift, state)
         account_energy(n, past.lost if k >= n.vision else 0.0, now)

@@ -199,7 +199,7 @@ class TeamSettings(Checked):
     force_gain: Positive = 1.0
     coupling: Positive = 1.0
     channel: TeamChannel = TeamChannel()
-    min_dwell: float | None = None
+    min_dwell: Positive | None = None
 
     def __post_init__(self):
         super().__post_init__()
@@ -303,7 +303,8 @@ class TeamOperator(Checked):
     drag : float
         d [N s/m].
     budget : float
-        β_h in units of V_e(0) + 1 J, as teams that start far from the goal need more.
+        β_h in units of V_e(0) + 1 J (V_e as for g = 1 where g is greater), as teams that start far
+        from the goal, or are slow, need more.
     reserve : float
         Share of β_h that pushing does not use.
     guarded : bool

@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trustlab.models.compiled import inner, njit
+from trustlab.models.records import record
 from trustlab.models.simulation import END
 from trustlab.operators.ground_robot import driving_style, joystick
-from trustlab.teleoperation.records import record
 from trustlab.testbeds.deciding import (
     COUNTS,
     FLAGS,

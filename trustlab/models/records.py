@@ -1,4 +1,6 @@
-"""Records of compiled loops: named columns that a kernel fills and a table shows."""
+"""
+Records of compiled loops, named columns that a kernel fills and a table shows; and coloured noise.
+"""
 
 from functools import partial
 from typing import Any
@@ -59,3 +61,22 @@ def signals(least: int = 1, **pair) -> list[np.ndarray]:
             f"got {first.shape} and {second.shape}"
         )
     return [array.reshape(len(array), -1) for array in arrays]
+
+
+def coloured(count: int, columns: int, time: float, step: float, rng) -> np.ndarray:
+    """Return noise of unit variance with this correlation time, shape (count, columns)."""
+    keep = np.exp(-step / time)
+    fresh, white = np.sqrt(1.0 - keep**2), rng.normal(size=(count, columns))
+    white[0] /= fresh  # as large at the start as later
+    return first_order(white, fresh, keep)
+
+
+@njit
+def first_order(u, gain, keep):
+    """Return y(k) = keep y(k − 1) + gain u(k) of every column, from rest."""
+    y = np.empty_like(u)
+    for i in range(u.shape[1]):
+        now = 0.0
+        for k in range(u.shape[0]):
+            y[k, i] = now = keep * now + gain * u[k, i]
+    return y
