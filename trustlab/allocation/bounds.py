@@ -193,7 +193,7 @@ def steady_state_bounds(
         model=tsc,
         lower=lower,
         upper=upper,
-        reason=f"Bounds as printed, δ_TSC = {delta_tsc:.3g}",
+        reason=f"δ_TSC = {delta_tsc:.3g}",
         delta_tsc=delta_tsc,
         r_low=float(r_low),
         r_high=float(r_high),
