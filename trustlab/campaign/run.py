@@ -27,7 +27,7 @@ from trustlab.campaign.identity import identity, sources, value_digest
 from trustlab.campaign.parameters import RESERVED, check_parameters, seed_sequence
 from trustlab.models.checks import flag, shown, warn, whole_number
 from trustlab.models.digest import digest
-from trustlab.models.files import path_of, write_atomically
+from trustlab.models.files import path_of, write_atomically, writing
 
 MANIFEST = "campaign.json"
 FORMAT = "trustlab campaign, format 4"
@@ -401,10 +401,6 @@ def _read(path: Path) -> Any:
 
 
 def _write(path: Path, content: dict) -> None:
-    try:
+    with writing(path, CampaignError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, json.dumps(content))
-    except OSError as error:
-        raise CampaignError(
-            f"cannot write {path}: {error.strerror}; give a folder that you may write to, with room"
-        ) from error

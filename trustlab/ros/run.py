@@ -272,7 +272,7 @@ def read_toml(path: str | Path) -> RunSettings:
     try:
         return RunSettings.of(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
     except (ValueError, OSError) as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise ValueError(f"{path}: {getattr(error, 'strerror', error)}") from error
 
 
 def _model_of(table: Mapping, folder: Path) -> tuple[Any, float | None]:
