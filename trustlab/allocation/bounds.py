@@ -144,7 +144,7 @@ def steady_state_bounds(
         Thresholds TSC_l and TSC_u.
     delta_tsc : float, optional
         δ_TSC, largest one-step change of TSC; from the model over the utilizations
-        of its steady cycle when not given.
+        of its limit cycle when not given.
 
     Returns
     -------
