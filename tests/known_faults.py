@@ -27,7 +27,6 @@ ALLOWED = {
     "estimate_thresholds": {
         "model": "a drive of four laps has too few switches",
         "after": "a drive of four laps has too few switches",
-        "sessions": "a drive of four laps has too few switches",
     },
     "paired_t_test": {"missing": "nothing is missing"},
     "parameter_draws": {"laps": "a value may be anything"},

@@ -209,5 +209,5 @@ def test_damage_and_places_that_cannot_be_used_are_named(tmp_path):
         go(tmp_path / "out")
     with pytest.raises(CampaignError, match=r"cannot write .*File exists; give a folder that is"):
         go(chunk)
-    with pytest.raises(CampaignError, match=rf"^there is no campaign in {tmp_path}$"):
+    with pytest.raises(CampaignError, match=rf"^folder: there is no campaign in {tmp_path}$"):
         tl.read_campaign(tmp_path)

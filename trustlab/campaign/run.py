@@ -196,7 +196,7 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
     """
     path = path_of("folder", folder)
     if not (path / MANIFEST).exists():
-        raise CampaignError(f"there is no campaign in {path}")
+        raise CampaignError(f"folder: there is no campaign in {path}")
     rows = _stored(path, _manifest(path))
     return _table(rows, {run: row["parameters"] for run, row in rows.items()})
 
