@@ -27,6 +27,7 @@ ALLOWED = {
     "estimate_thresholds": {
         "model": "a drive of four laps has too few switches",
         "after": "a drive of four laps has too few switches",
+        "sessions": "a drive of four laps has too few switches",
     },
     "paired_t_test": {"missing": "nothing is missing"},
     "parameter_draws": {"laps": "a value may be anything"},
@@ -111,9 +112,6 @@ KNOWN = {
     },
     "cronbach_alpha": {
         "items": "NaN is taken",
-    },
-    "estimate_thresholds": {
-        "sessions": "foreign errors",
     },
     "fit_robot": {
         "p_h_max": "NaN is taken",
