@@ -112,9 +112,6 @@ KNOWN = {
     "cronbach_alpha": {
         "items": "NaN is taken",
     },
-    "estimate_thresholds": {
-        "sessions": "foreign errors",
-    },
     "fit_robot": {
         "p_h_max": "NaN is taken",
     },

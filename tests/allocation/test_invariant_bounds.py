@@ -155,7 +155,7 @@ def test_bounds_that_have_not_settled_say_so_and_more_cycles_tighten_them(operat
 
 
 def test_bounds_for_printed_people_are_near_the_cycles(operators):
-    """Within 0.01 of the TSC that the steady cycle reaches, at the printed thresholds."""
+    """Within 0.01 of the TSC that the limit cycle reaches, at the printed thresholds."""
     table = tl.published_table("2.2")
     for who in "12345":
         thresholds = table.loc[["TSC_l", "TSC_u"], who].astype(float)

@@ -1,4 +1,4 @@
-"""The steady cycle against long simulation."""
+"""The limit cycle against long simulation."""
 
 import itertools
 import tracemalloc
@@ -92,7 +92,7 @@ def test_the_plot_shows_rule_run_and_cycle(operators):
     axes = limit_cycle(operators["2"], 0.0, 0.35).plot()
     labels = [line.get_label() for line in axes.lines]
     assert labels[0] == "manual below $TSC_l$ = 0"
-    assert labels[2:] == ["from near rest", "steady cycle"]
+    assert labels[2:] == ["from near rest", "limit cycle"]
     assert len(limit_cycle(operators["1"], 0.15, 0.9).plot().lines) == 3
     plt.close("all")
 

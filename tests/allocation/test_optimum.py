@@ -5,6 +5,8 @@ Oracles: relative value iteration on utilization and robot performance; rules at
 every pattern by simulation; quadrature.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import integrate
@@ -109,6 +111,15 @@ def test_a_pattern_is_what_simulation_says_and_none_is_better(operators):
     assert best.threshold_value <= best.upper_bound
     run = tl.simulate_allocation(tsc, lower, upper, 90_000, r0=0.8).iloc[40_000:]
     assert earned(tsc, run, 0.5) == pytest.approx(best.threshold_value, abs=0.3)
+
+
+def test_no_phase_is_shorter_than_the_least_dwell_time_between_two_samples(operators):
+    tsc = operators["2"]
+    robot = replace(tsc.robot, a=tsc.robot.a**10, b=None)
+    slow = tl.TscModel(robot, replace(tsc.human, a=tsc.human.a**10))
+    best = tl.optimal_allocation(slow, min_dwell=2.5, sample_time=1.0)
+    cycle = tl.limit_cycle(slow, *best.thresholds)
+    assert min(*best.pattern, cycle.dwell_manual[0], cycle.dwell_autonomous[0]) >= 3
 
 
 def test_a_pattern_may_need_longer_phases_than_forty_least_ones(operators):

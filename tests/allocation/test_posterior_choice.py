@@ -155,6 +155,14 @@ def test_a_table_over_draws_is_of_each_of_them(clear):
     assert never.isna().all().all()
 
 
+def test_a_choice_of_no_single_model_has_no_single_motion(clear):
+    choice = tl.choose_thresholds(clear)
+    with pytest.raises(ValueError, match=r"see its table\(\).*one of its models"):
+        _ = choice.cycle
+    with pytest.raises(ValueError, match="there are no thresholds: no room"):
+        _ = replace(choice, lower=np.nan, upper=np.nan, reason="no room").bounds
+
+
 def test_objectives_of_a_model(operators):
     choices = {
         each: tl.choose_thresholds(operators["2"], objective=each) for each in ("peak", "mean", 1.0)

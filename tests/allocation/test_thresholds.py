@@ -158,6 +158,16 @@ def test_thresholds_are_read_off_the_switches():
     assert estimate.summary["n"].sum() == len(estimate.switches) == 66
 
 
+def test_a_run_that_is_passed_twice_has_no_more_switches():
+    run = switched(-0.2, 0.5, 0.05, 1)
+    with pytest.raises(ValueError, match="occurs twice"):
+        estimate_thresholds([run, run])
+    with pytest.raises(ValueError, match="class Session, got int"):
+        estimate_thresholds(5)
+    with pytest.raises(ValueError, match="no session was given"):
+        estimate_thresholds([])
+
+
 def test_switches_before_a_time_are_left_out():
     run = switched(-0.2, 0.5, 0.05, 1)
     everything = estimate_thresholds(run)
@@ -198,6 +208,16 @@ def exactly(mean, sd, n):
     """A sample of this size with exactly this mean and SD."""
     values = np.sin(np.arange(1.0, n + 1.0))
     return mean + sd * (values - values.mean()) / values.std(ddof=1)
+
+
+def test_switches_at_exactly_one_tsc_each_are_the_clearest_case():
+    """Not infinitely far apart, and not told apart, where both are the same."""
+    levels = {"lower": np.full(5, 0.1), "upper": np.full(6, 0.5)}
+    assert _apart(levels, np.random.default_rng(0)) == (np.inf, 0.0)
+    same = dict.fromkeys(levels, np.full(4, 0.25))
+    separation, p = _apart(same, np.random.default_rng(0))
+    assert not separation > 1.0
+    assert p == 1.0
 
 
 @pytest.mark.parametrize("n", [4, 8, 16, 100])
@@ -303,4 +323,5 @@ def test_relative_performance_of_remark_7():
     percent = {name: relative_performance(value, 0.24, 0.4) for name, value in table.items()}
     assert percent["C2"] - percent["C1"] == pytest.approx(8.75, abs=1e-9)
     assert percent["C5"] - percent["C3"] == pytest.approx(11.86, abs=0.02)
-    assert relative_performance([0.24, 0.4], 0.24, 0.4) == pytest.approx(50.0)
+    for values in ([0.24, 0.4], np.array(0.32), np.array([[0.24], [0.4]])):
+        assert relative_performance(values, 0.24, 0.4) == pytest.approx(50.0)

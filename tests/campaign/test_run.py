@@ -241,6 +241,12 @@ def test_runs_have_the_same_names():
         tl.run_campaign(dict, [{"a": 1}, {"b": 1}])
 
 
+def test_a_grid_of_a_set_is_refused():
+    """Its order differs between processes, so that no campaign of it could be resumed."""
+    with pytest.raises(ValueError, match=r"x must be a list of values, got \{'a'\}"):
+        tl.parameter_grid(x={"a"})
+
+
 @pytest.mark.parametrize("axes", [{}, {"x": []}, {"x": [1], "y": np.array([])}])
 def test_a_grid_without_values_is_refused(axes):
     with pytest.raises(ValueError, match="give at least one value for each name"):

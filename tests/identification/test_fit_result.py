@@ -43,6 +43,18 @@ def test_fit_percent_is_the_printed_formula(session, fits):
     assert set(joint.fit_percent.index) == {"p_h", "p_r"}
 
 
+def test_dropouts_that_are_left_out_do_not_count_in_the_percentage(session, fits):
+    """Oracle: the printed formula on the samples that were kept."""
+    p_r = session["p_r"].copy()
+    lost = np.random.default_rng(0).choice(p_r.size, p_r.size // 100, replace=False)
+    p_r[lost] = 0.0
+    fit = tl.fit_robot(session.with_columns(p_r=p_r))
+    y, e = (np.delete(values, lost) for values in (p_r, fit.residuals()[0]))
+    percent = 100 * (1 - np.linalg.norm(e) / np.linalg.norm(y - y.mean()))
+    assert fit.fit_percent == pytest.approx(percent, abs=0.1)
+    assert fit.fit_percent == pytest.approx(fits[0].fit_percent, abs=0.5)
+
+
 def test_fitted_output_is_the_model_simulated(session, fits):
     robot, human, joint = fits
     r0, p_r0 = human.initial_states["r0"].iloc[0], robot.initial_states["p_r0"].iloc[0]

@@ -143,6 +143,8 @@ def test_sessions_that_do_not_fit_together():
     for sessions, error, says in (
         ([one, session(step=0.05)], IdentificationError, r"0.1 s and .*0.05 s"),
         (run, ValueError, r"got SimpleNamespace; pass its \.session"),
+        (one.data, ValueError, r"got DataFrame; pass a session"),
+        ({"1": one}, ValueError, r"got dict; pass a session"),
         (log(mode=one["mode"], p_r=one["p_r"]), tl.SessionError, "no column 'p_h'"),
     ):
         with pytest.raises(error, match=says):

@@ -183,10 +183,12 @@ def test_only_performance_is_a_mean_over_the_window_of_performance():
         tl.fit(model, plain, window=20.0)
 
 
-def test_a_window_shorter_than_a_sample_is_refused():
-    """It was none, and so was one in minutes."""
-    with pytest.raises(ValueError, match=r"window = 0\.4 s is shorter than one sample .*1 s"):
-        tl.fit_tsc(session(step=1.0), window=0.4)
+def test_a_window_that_is_far_from_whole_samples_is_refused():
+    """Below a sample it was none, and 2.5 s were taken for 2 s."""
+    for window, nearest in ((0.4, 1), (2.5, 2)):
+        says = rf"window = {window} s is no whole number of samples .*of 1 s\); state {nearest} s"
+        with pytest.raises(ValueError, match=says):
+            tl.fit_tsc(session(step=1.0), window=window)
 
 
 # --- noise ----------------------------------------------------------------------------------------

@@ -225,16 +225,26 @@ def test_models_that_cannot_be_made_or_fitted_are_refused():
     def lost(run, **at):
         return np.full(run.size, np.nan)
 
+    def starting(*points):
+        return {"starts": lambda runs, limits: [*points]}
+
     for says, fields in (
         ("two unknowns called 'rise'", {"names": ("rise", "rise")}),
         ("rise needs bounds with low < high", {"low": (np.nan, 0.0, 0.0)}),
         ("coordinates names 'rize'.*did you mean 'rise'", {"coordinates": {"rize": "rate"}}),
         (r"must return p_r, shape \(3000,\) each, got \(7,\)", {"simulate": short}),
+        (r"p_r, shape \(3000, \d\) each, got \(7,\)", {"simulate": short, "lanes": True}),
         ("not finite at rise", {"simulate": lost}),
+        ("hints names 'rize'.*did you mean 'rise'", {"hints": {"rize": "record more"}}),
+        ("starts names 'rize'.*did you mean 'rise'", starting({"rize": 0.1})),
+        ("starts must be of class dict, got str; .* returns a list of dict", starting("rise")),
+        ("starts must be of class dict, got NoneType; .* returns a list of dict", starting()),
         ("rise needs bounds on both sides, or a start", {"high": (np.inf, 0.2, 1.0)}),
     ):
         with pytest.raises(ValueError, match=says):
             tl.fit(replace(MINE, **fields), session_of())
+    with pytest.raises(ValueError, match="fixed a must lie strictly between 0 and 1, got 1"):
+        ROBOT.limits({"a": 1.0})
 
 
 def test_a_simulation_cannot_write_into_what_it_is_compared_with():

@@ -94,6 +94,14 @@ def test_bounds_need_the_gain_of_2_3():
     assert robot.simulate(np.ones(2000), np.full(2000, 0.5))[-1] > 0.4
 
 
+def test_a_wrong_name_is_an_error_of_key_and_of_value_with_the_nearest():
+    for error in (KeyError, ValueError):
+        with pytest.raises(error, match=r"^nothing is called 3; did you mean '3'\? \(there are"):
+            tl.published_models()[3]
+        with pytest.raises(error, match=r"did you mean '.*tlx'"):
+            tl.published_studies()["tlx"]
+
+
 @pytest.mark.parametrize("name", ["pilot", "1", "2", "3", "4", "5"])
 def test_gains_are_those_printed(operators, name):
     printed = printed_pilot() if name == "pilot" else tl.published_table("2.1")[name]

@@ -110,7 +110,7 @@ def test_numbers_in_the_reasons_are_computed_again():
     steps = tl.published_table("2.1").loc["delta_TSC"].astype(float)
     bound = tl.steady_state_bounds(models["3"], *pairs["3"], steps["3"]).r_high
     third = cycles["3"]
-    said = f"the steady cycle of r is {third.r_low:.3f} to {third.r_high:.3f}, and (2.33) gives"
+    said = f"the limit cycle of r is {third.r_low:.3f} to {third.r_high:.3f}, and (2.33) gives"
     assert f"{said} {bound:.3f}" in CLAIMS.loc["Theorem 2", "why"]
     people = [models[who] for who in pairs]
     by_hand = [100 * model.human.p_min / model.human.p_max for model in people]

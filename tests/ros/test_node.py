@@ -365,6 +365,13 @@ fields = ["twist.linear.x", "twist.angular.z"]
 """
 
 
+def test_a_run_that_is_not_there_is_said_to_be_missing(tmp_path):
+    with pytest.raises(SessionError, match=r"run.mcap: there is no file at this path"):
+        read_run(tmp_path / "run.mcap")
+    with pytest.raises(ValueError, match=r"run.toml: No such file or directory$"):
+        read_toml(tmp_path / "run.toml")
+
+
 def test_a_stick_a_reference_and_stamped_commands(node, tmp_path):
     (tmp_path / "run.toml").write_text(STICK)
     run = read_toml(tmp_path / "run.toml")

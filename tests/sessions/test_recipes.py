@@ -114,6 +114,13 @@ def test_every_rule(lab):
     assert read_session(lab, recipe, columns=["path_error"]).columns == ["path_error"]
 
 
+def test_numbered_columns_of_a_frame_are_named_by_their_numbers():
+    """As streams of XDF come: an index there is the name."""
+    frame = pd.DataFrame({0: [0.0, 0.1], 1: [0.5, 0.4]})
+    recipe = table_recipe("[time]\ncolumn = 0\nunit = 's'\n[columns]\np_r = { column = 1 }")
+    assert read_frame(frame, recipe)["p_r"].tolist() == [0.5, 0.4]
+
+
 def test_a_participant_beside_a_frame(read):
     """Where the recipe takes the participant from the path, the argument stands for it."""
     text = """[files]
@@ -287,6 +294,18 @@ def test_files_that_are_no_tables(tmp_path, name, content):
     with pytest.raises(tl.SessionError, match=name):
         tl.draft_recipe(tmp_path / name, tmp_path / "lab.toml")
     assert not (tmp_path / "lab.toml").exists()
+
+
+def test_a_draft_of_no_samples_or_for_a_folder_that_is_missing_is_refused(tmp_path):
+    """These were errors of pandas and of the system."""
+    log = tmp_path / "run.csv"
+    for content in ("", "t,mode,p_r\n"):
+        log.write_text(content)
+        with pytest.raises(tl.SessionError, match=r"run.csv: no sample follows the names of its"):
+            tl.draft_recipe(log, tmp_path / "lab.toml")
+    log.write_text("t,mode\n0.0,1\n0.1,1\n")
+    with pytest.raises(tl.SessionError, match=r"cannot write .*nowhere.*No such file or directory"):
+        tl.draft_recipe(log, tmp_path / "nowhere" / "lab.toml")
 
 
 def test_a_window_of_ones_own_changes_no_other_recipe():

@@ -71,6 +71,11 @@ def test_html_is_read_again(tmp_path):
     assert "<svg" in page
 
 
+def test_a_place_that_cannot_be_written_to_is_named(tmp_path):
+    with pytest.raises(ValueError, match=r"cannot write .*nowhere.*: No such file or directory"):
+        one_way().write(tmp_path / "nowhere" / "results.html")
+
+
 def test_levels_that_are_numbers_stay_as_they_are(tmp_path):
     frame = frame_of().replace({"M": 0.0, "TMIG": 0.125}).infer_objects()
     tables, _ = read_again(two_way(frame), tmp_path)

@@ -242,6 +242,8 @@ def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
         assert state() == before
     with pytest.raises(ValueError, match="not known to be of this study; give a new"):
         tl.virtual_study(**QUICK, out=tmp_path / "sessions")
+    with pytest.raises(ValueError, match=r"cannot write .*: Not a directory"):
+        tl.virtual_study(**QUICK, out=tmp_path / "about.txt")
     min(sessions).unlink()
     with pytest.raises(ValueError, match=f"1 of {len(sessions)} sessions are missing"):
         tl.virtual_study(**QUICK, out=tmp_path)

@@ -1,5 +1,5 @@
 """
-Allocation of control: rules, limits, bounds, the steady cycle, and the correction of thresholds.
+Allocation of control: rules, limits, bounds, the limit cycle, and the correction of thresholds.
 """
 
 import lazy_loader as lazy

@@ -144,7 +144,7 @@ def steady_state_bounds(
         Thresholds TSC_l and TSC_u.
     delta_tsc : float, optional
         δ_TSC, largest one-step change of TSC; from the model over the utilizations
-        of its steady cycle when not given.
+        of its limit cycle when not given.
 
     Returns
     -------
@@ -193,7 +193,7 @@ def steady_state_bounds(
         model=tsc,
         lower=lower,
         upper=upper,
-        reason=f"Bounds as printed, δ_TSC = {delta_tsc:.3g}",
+        reason=f"δ_TSC = {delta_tsc:.3g}",
         delta_tsc=delta_tsc,
         r_low=float(r_low),
         r_high=float(r_high),

@@ -10,13 +10,8 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import (
-    finite_array,
-    finite_number,
-    in_order,
-    of_class,
-    positive,
-)
+from trustlab.identification.log import as_list, each_once
+from trustlab.models.checks import finite_array, finite_number, in_order, of_class, positive
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.errors import SessionError
@@ -48,8 +43,8 @@ class ThresholdEstimate:
     separation : float
         How far the means are apart in sums of the two SDs, (mean upper − mean lower)/(SD lower + SD
         upper). Above 1, mean ± SD do not overlap, the way in which Table 2.3 sets participant 3
-        (0.99) apart from the others (1.5 to 6.5). NaN with fewer than two switches in one
-        direction.
+        (0.99) apart from the others (1.5 to 6.5). Infinite where neither spreads; NaN with fewer
+        than two switches in one direction.
     p_overlap : float
         One-sided p against the hypothesis that `separation` is 1 or less; NaN likewise.
     """
@@ -107,7 +102,7 @@ def estimate_thresholds(
     SessionError
         If a column is missing, mode is a share, or no run has a switch (after `after`).
     ValueError
-        If an argument is not understood.
+        If an argument is not understood, or a run is given twice.
 
     Notes
     -----
@@ -138,10 +133,8 @@ def estimate_thresholds(
     if model is not None:
         of_class("model", model, TscModel)
     after = -np.inf if after is None else finite_number("after", after)
-    runs = [sessions] if isinstance(sessions, Session) else list(sessions)
     rows = []
-    for number, run in enumerate(runs):
-        of_class(f"sessions[{number}]", run, Session, "trustlab.read_session(path) reads one")
+    for number, run in enumerate(each_once(as_list(sessions))):
         mode = run["mode"]
         wrong = "thresholds need a mode of 0 or 1, not shares"
         if model is None and "tsc" not in run:
@@ -173,14 +166,15 @@ def _apart(groups: dict[str, np.ndarray], rng: np.random.Generator) -> tuple[flo
     drawn = []
     for values in groups.values():
         n = values.size
-        if n < 2 or not values.std() > 0.0:
+        if n < 2:
             return np.nan, np.nan
         mean, sd = values.mean(), values.std(ddof=1)
         spread = sd * np.sqrt((n - 1) / rng.chisquare(n - 1, DRAWS))
         samples += [mean, sd]
         drawn += [mean + spread * rng.standard_normal(DRAWS) / np.sqrt(n), spread]
-    ratio, ratios = ((high - low) / (a + b) for low, a, high, b in (samples, drawn))
-    return float(ratio), float((ratios <= 1.0).mean())
+    with np.errstate(divide="ignore", invalid="ignore"):  # no spread: ∞, or NaN without distance
+        ratio, ratios = ((high - low) / (a + b) for low, a, high, b in (samples, drawn))
+    return float(ratio), 1.0 - float((ratios > 1.0).mean())
 
 
 def _row(values: np.ndarray) -> list[float]:
@@ -218,7 +212,7 @@ def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) ->
     75.0
     """
     low, high = in_order("p_min", p_min, "p_max", p_max)
-    values = finite_array("p_r", [p_r] if np.isscalar(p_r) else p_r)
+    values = finite_array("p_r", np.ravel(p_r))
     return 100.0 * (float(values.mean()) - low) / (high - low)
 
 

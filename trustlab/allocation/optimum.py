@@ -7,6 +7,7 @@ that all but telescopes. What a rule earns is therefore the mean of a function f
 alone. No rule exceeds the greatest f; holding r there, by a threshold on utilization, attains it.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -157,7 +158,9 @@ def optimal_allocation(
     of_class("tsc", tsc, TscModel)
     weight = between("weight", weight, 0.0, 1.0)
     dwell = not_negative("min_dwell", min_dwell) / positive("sample_time", sample_time)
-    least = max(1, round(between("min_dwell/sample_time", dwell, 0.0, MOST_SAMPLES)))
+    # Rounding of the quotient adds no sample.
+    least = math.ceil(between("min_dwell/sample_time", dwell, 0.0, MOST_SAMPLES) - 1e-9)
+    least = max(1, least)
     limit = 1.0 if max_mean_r is None else open_unit("max_mean_r", max_mean_r)
     upper_bound, r_star = certificate(tsc, weight, limit)
     manual, autonomous = _best_pattern(tsc, weight, least, limit)

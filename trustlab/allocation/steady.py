@@ -275,7 +275,7 @@ class LimitCycle(SteadyRanges):
         Long-run averages of utilization and robot performance; from β, where it goes on.
     """
 
-    title = "Steady cycle"
+    title = "Limit cycle"
 
     exists: bool
     always: bool = False
@@ -319,7 +319,7 @@ class LimitCycle(SteadyRanges):
         axes.plot("r", "p_r", data=run.iloc[: settled // 2], lw=0.6, label="from near rest")
         if self.exists:
             last = run.iloc[settled:]
-            axes.plot("r", "p_r", data=last, lw=2.5, color="k", label="steady cycle")
+            axes.plot("r", "p_r", data=last, lw=2.5, color="k", label="limit cycle")
         ends = model.robot.p_min, model.robot.p_max
         axes.set(xlabel="utilization r", ylabel="robot performance $P_r$", ylim=ends)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
@@ -328,7 +328,7 @@ class LimitCycle(SteadyRanges):
 
 def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
     """
-    Find the steady cycle of rule (2.8).
+    Find the limit cycle of rule (2.8).
 
     The system is simulated, from β and from rest, until transients have decayed, and then until the
     motion repeats, over at most 300 cycles.

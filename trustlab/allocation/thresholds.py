@@ -119,12 +119,18 @@ class ThresholdChoice(Result):
     @cached_property
     def cycle(self) -> LimitCycle:
         """The steady motion of a model under the thresholds: `limit_cycle`."""
-        return limit_cycle(self.tsc, self.lower, self.upper)
+        return limit_cycle(self._model(), self.lower, self.upper)
 
     @cached_property
     def bounds(self) -> InvariantBounds:
         """Bounds for every trajectory of a model under the thresholds: `invariant_bounds`."""
-        return invariant_bounds(self.tsc, self.lower, self.upper)
+        return invariant_bounds(self._model(), self.lower, self.upper)
+
+    def _model(self) -> TscModel:
+        if np.isnan(self.lower):
+            raise ValueError(f"there are no thresholds: {self.reason}")
+        remedy = "of a posterior see its table(), or limit_cycle of one of its models"
+        return of_class("tsc", self.tsc, TscModel, remedy)
 
     def table(self) -> pd.DataFrame:
         """

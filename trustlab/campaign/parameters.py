@@ -38,7 +38,7 @@ def parameter_grid(repeats: int = 1, **axes: Iterable) -> list[dict]:
     Raises
     ------
     ValueError
-        If a name has no values or a single value that is not in a list.
+        If a name has no values, a set of them or a single one that is not in a list.
 
     Examples
     --------
@@ -47,7 +47,7 @@ def parameter_grid(repeats: int = 1, **axes: Iterable) -> list[dict]:
     {'lower': 0.0, 'upper': 0.5}
     """
     for name, values in axes.items():
-        if isinstance(values, str) or not np.iterable(values):
+        if isinstance(values, str | set | frozenset) or not np.iterable(values):  # sets: no order
             raise ValueError(
                 f"{name} must be a list of values, got {shown(values)}; write [{shown(values)}] "
                 "for one"

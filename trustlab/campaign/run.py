@@ -27,7 +27,7 @@ from trustlab.campaign.identity import identity, sources, value_digest
 from trustlab.campaign.parameters import RESERVED, check_parameters, seed_sequence
 from trustlab.models.checks import flag, shown, warn, whole_number
 from trustlab.models.digest import digest
-from trustlab.models.files import path_of, write_atomically
+from trustlab.models.files import path_of, write_atomically, writing
 
 MANIFEST = "campaign.json"
 FORMAT = "trustlab campaign, format 4"
@@ -80,12 +80,12 @@ def run_campaign(
     n_jobs : int
         Processes, as in `joblib.Parallel`: -1 takes as many as there are cores, 1 runs everything
         in this process. Within a task everything runs in the task's own process. Inside
-        `joblib.parallel_config("dask")`, runs are computed on a Dask cluster.
+        `joblib.parallel_config("dask")`, runs are computed on a Dask cluster of two cores or more.
     out : str or os.PathLike, optional
         A folder for the results. A call with the same arguments goes on where a killed one
-        stopped; some seconds of work are lost. A campaign may grow: runs added at the end of
-        `parameters`, or values at the end of a grid's first axis. Other files in the folder are
-        left alone.
+        stopped, with some seconds of work lost, and tries failed runs again. A campaign may grow:
+        runs added at the end of `parameters`, or values at the end of a grid's first axis. Other
+        files in the folder are left alone.
     progress : bool, optional
         Whether to show progress on stderr; by default where it is a terminal.
 
@@ -195,6 +195,8 @@ def read_campaign(folder: str | os.PathLike) -> pd.DataFrame:
     True
     """
     path = path_of("folder", folder)
+    if not (path / MANIFEST).exists():
+        raise CampaignError(f"folder: there is no campaign in {path}")
     rows = _stored(path, _manifest(path))
     return _table(rows, {run: row["parameters"] for run, row in rows.items()})
 
@@ -362,7 +364,8 @@ def _opened(
     ][:1]
     if changes:
         raise CampaignError(f"{folder} holds another campaign: {'; '.join(changes)}. {REMEDY}")
-    return _prefix(before), rows
+    # What failed may have failed for want of memory or of a file: it is computed anew.
+    return _prefix(before), {run: row for run, row in rows.items() if row["error"] is None}
 
 
 def _manifest(folder: Path) -> dict[str, str]:
@@ -384,9 +387,10 @@ def _prefix(parts: dict[str, str]) -> str:
 
 
 def _stored(folder: Path, parts: dict[str, str]) -> dict[int, dict]:
-    """Return the rows in all files of a campaign, by run."""
+    """Return the rows in all files of a campaign, by run; one that succeeded before a failure."""
     contents = map(_read, folder.glob(f"{_prefix(parts)}*.json"))
-    return {int(run): row for content in contents for run, row in content.items()}
+    rows = [(int(run), row) for content in contents for run, row in content.items()]
+    return dict(sorted(rows, key=lambda pair: pair[1]["error"] is None))
 
 
 def _read(path: Path) -> Any:
@@ -397,10 +401,6 @@ def _read(path: Path) -> Any:
 
 
 def _write(path: Path, content: dict) -> None:
-    try:
+    with writing(path, CampaignError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, json.dumps(content))
-    except OSError as error:
-        raise CampaignError(
-            f"cannot write {path}: {error.strerror}; give a folder that you may write to, with room"
-        ) from error

@@ -496,8 +496,10 @@ def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
         shown = [[window_means(y, w) for y in (s.measured, out)] for s, out, w in triples]
         measured, fitted = (dict(zip(outputs, y, strict=True)) for y in zip(*shown, strict=True))
         inputs = {name: run[name] for name in model.inputs}
-        errors = {name: s.white[:, 0].copy() for name, s in zip(outputs, of_run, strict=True)}
-        yield RunFit(run.label, run.synthetic, run.t, inputs, measured, fitted, errors)
+        by_name = dict(zip(outputs, of_run, strict=True))
+        errors = {name: series.white[:, 0].copy() for name, series in by_name.items()}
+        known = {name: series.known for name, series in by_name.items()}
+        yield RunFit(run.label, run.synthetic, run.t, inputs, measured, fitted, errors, known)
 
 
 # --- remarks --------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from trustlab.identification.model import IdentificationError, Model
 from trustlab.models.checks import (
@@ -39,8 +40,8 @@ class LogSettings(Checked):
     ----------
     window : float, optional
         Length W [s] of the moving window over which p_r and p_h were averaged, as
-        `with_performance` does; 0 if they were not averaged. By default each session's metadata
-        decide. Other columns are no means.
+        `with_performance` does, a whole number of samples; 0 if they were not averaged. By default
+        each session's metadata decide. Other columns are no means.
     mode_delay : bool
         Whether to estimate the delay between the logged time of a change of mode and its effect
         [s], as a further parameter `mode_delay`.
@@ -180,7 +181,7 @@ def read_runs(
 
 def as_list(sessions: Any) -> list:
     """Return one or several sessions as a list."""
-    if isinstance(sessions, Session) or not isinstance(sessions, Iterable):
+    if isinstance(sessions, Session | Mapping | pd.DataFrame) or not isinstance(sessions, Iterable):
         return [sessions]
     sessions = list(sessions)
     if not sessions:
@@ -227,10 +228,10 @@ def _window(session: Session, stated: float | None) -> int | None:
         return None
     step, window = session.sample_time, not_negative("window", window or 0.0)
     samples = round(window / step)
-    if window and not samples:
+    if abs(samples * step - window) > 0.01 * window:
         raise ValueError(
-            f"window = {window:g} s is shorter than one sample of {session.label} ({step:g} s); "
-            "give seconds, or 0 if p_r and p_h are no means"
+            f"window = {window:g} s is no whole number of samples of {session.label} (of {step:g} "
+            f"s); state {max(1, samples) * step:g} s, or 0 if p_r and p_h are no means"
         )
     return max(1, samples)
 

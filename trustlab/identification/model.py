@@ -14,6 +14,7 @@ from trustlab.models.checks import (
     finite_number,
     of_class,
     one_of,
+    open_unit,
     shown,
 )
 
@@ -182,7 +183,8 @@ class Model(Checked):
         repeated = [name for name in self.unknowns if self.unknowns.count(name) > 1]
         if repeated:
             raise ValueError(f"a model has two unknowns called {repeated[0]!r}")
-        self.check_names(self.coordinates, "coordinates")
+        for name in ("coordinates", "hints"):
+            self.check_names(getattr(self, name), name)
         for name, kind in self.coordinates.items():
             one_of(f"coordinate of {name}", kind, COORDINATES)
         if not callable(self.size):
@@ -247,7 +249,10 @@ class Model(Checked):
             coordinate = self.coordinate(name)
             low, high = np.clip(ends, coordinate.low, coordinate.high).tolist()
             if name in given["fixed"]:
-                low = high = between(f"fixed {name}", given["fixed"][name], low, high)
+                value = given["fixed"][name]
+                if coordinate.low > 0.0:
+                    open_unit(f"fixed {name}", value)
+                low = high = between(f"fixed {name}", value, low, high)
             if name in given["bounds"]:
                 low, high = _narrowed(name, given["bounds"][name], low, high)
             limits[name] = (low, high)
@@ -287,20 +292,23 @@ class Model(Checked):
         values : mapping
             Names and states, shape (L,) each.
         """
+        rows = [*zip(*values.values(), strict=True)]
         if self.lanes:
-            return _as_tuple(self.simulate(run, **values))
-        lanes = []
-        for row in zip(*values.values(), strict=True):
-            lane = dict(zip(values, map(float, row), strict=True))
-            outputs = _as_tuple(self.simulate(run, **lane))
-            shapes = [np.shape(output) for output in outputs]
-            if shapes != [(run.size,)] * len(self.outputs):
-                raise ValueError(
-                    f"simulate must return {' and '.join(self.outputs)}, shape ({run.size},) each, "
-                    f"got {' and '.join(map(str, shapes))}"
-                )
-            lanes.append(outputs)
-        return tuple(np.column_stack(output).astype(float) for output in zip(*lanes, strict=True))
+            return self._checked(self.simulate(run, **values), run.size, len(rows))
+        lanes = [dict(zip(values, map(float, row), strict=True)) for row in rows]
+        outputs = [self._checked(self.simulate(run, **lane), run.size) for lane in lanes]
+        return tuple(map(np.column_stack, zip(*outputs, strict=True)))
+
+    def _checked(self, outputs: Any, *shape: int) -> tuple:
+        """Return one output or several as a tuple of arrays of this shape."""
+        outputs = outputs if isinstance(outputs, tuple) else (outputs,)
+        shapes = [np.shape(output) for output in outputs]
+        if shapes != [shape] * len(self.outputs):
+            raise ValueError(
+                f"simulate must return {' and '.join(self.outputs)}, shape {shape} each, got "
+                f"{' and '.join(map(str, shapes))}"
+            )
+        return tuple(np.asarray(output, dtype=float) for output in outputs)
 
     def useful(self, values: Mapping[str, float]) -> dict[str, float]:
         """
@@ -317,11 +325,6 @@ class Model(Checked):
         return widths | dict(
             size(values) if callable(size) else zip(self.names, size, strict=False)
         )
-
-
-def _as_tuple(outputs: Any) -> tuple:
-    """Return one output or several as a tuple."""
-    return outputs if isinstance(outputs, tuple) else (outputs,)
 
 
 def _narrowed(name: str, pair: tuple, low: float, high: float) -> tuple[float, float]:

@@ -18,7 +18,7 @@ import numpy as np
 from trustlab.identification.log import Run, averaged, counts, joined, undone, window_means
 from trustlab.identification.model import IdentificationError, Model
 from trustlab.identification.noise import Noise, fitted_noise, outliers, scaled_roots, whiten
-from trustlab.models.checks import counted
+from trustlab.models.checks import counted, of_class
 from trustlab.models.compiled import njit
 
 # Steps of the lanes in coordinates of the search; relative where a coordinate has no scale. That of
@@ -458,7 +458,10 @@ def rough_optima(
     for unwindow, seen in _views(model, runs):
         problem = Problem(model, runs, limits, unwindow)
         optima = []
-        for point in model.starts(seen, limits) if model.starts else [{}]:
+        points = [*model.starts(seen, limits)] if model.starts else [{}]
+        for point in points or [None]:
+            remedy = "`starts` returns a list of dictionaries of values by name"
+            model.check_names(of_class("each of the starts", point, dict, remedy), "starts")
             # A model's own start lies near an optimum; another may lie anywhere.
             method = "dogbox" if set(model.unknowns) <= point.keys() else "trf"
             x = problem.full_vector(_completed(dict(point), limits))

@@ -35,7 +35,8 @@ class RunFit:
     """
     One run, measured and fitted: time [s], inputs and outputs by name, shape (N,) each.
 
-    `errors` are what a noise model leaves of measured minus fitted: the same where noise is white.
+    `errors` are what a noise model leaves of measured minus fitted, in the values that a window
+    averages where the noise is in these; 0 for samples left out, which are not `known`.
     """
 
     label: str
@@ -45,6 +46,7 @@ class RunFit:
     measured: dict[str, np.ndarray]
     fitted: dict[str, np.ndarray]
     errors: dict[str, np.ndarray]
+    known: dict[str, np.ndarray]
 
     def residual(self, output: str) -> np.ndarray:
         """Return measured minus fitted."""
@@ -74,7 +76,8 @@ class FitResult(Result):
     noise : {"white", "correlated", "hac"}
         What the standard errors allow for; see `fit`.
     sigma : dict of float
-        Standard deviation of the residuals, by output.
+        Standard deviation of the noise, by output, without samples left out; in the values that a
+        window averages where the message says so.
     cost : float
         ½ Σ e².
     success : bool
@@ -120,8 +123,8 @@ class FitResult(Result):
         -------
         pandas.DataFrame
             Index `parameter`; columns value, stderr, ci_low, ci_high, unit, status. NaN where a
-            parameter was not estimated; intervals are not cut at bounds. A rate such as `a` belongs
-            to the time step in its unit, which is the log's sample time.
+            parameter was not estimated; intervals are not cut at bounds. A share such as `a`
+            belongs to the time step in its unit, which is the log's sample time.
 
         Raises
         ------
@@ -138,11 +141,15 @@ class FitResult(Result):
 
     @property
     def fit_percent(self) -> float | pd.Series:
-        """100(1 − ‖y − ŷ‖/‖y − ȳ‖) of the simulated output; a Series if there are several."""
+        """
+        100(1 − ‖y − ŷ‖/‖y − ȳ‖) of the simulated output, without samples left out; a Series if
+        there are several.
+        """
         percent = {}
         for name in self.outputs:
-            y = np.concatenate([run.measured[name] for run in self.runs])
-            error = np.concatenate(self.residuals(name))
+            known = np.concatenate([run.known[name] for run in self.runs])
+            y = np.concatenate([run.measured[name] for run in self.runs])[known]
+            error = np.concatenate(self.residuals(name))[known]
             spread = np.linalg.norm(y - y.mean())
             percent[name] = 100.0 * (1.0 - np.linalg.norm(error) / spread)
         return float(percent[name]) if len(percent) == 1 else pd.Series(percent, name="fit_percent")

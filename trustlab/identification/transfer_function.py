@@ -96,7 +96,7 @@ def transfer_model(order: int, sample_time: float) -> Model:
 
     def starts(runs, limits):
         velocity = joined(runs, "velocity")
-        first = {"velocity_0": [run["velocity"][0] for run in runs], "acceleration_0": 0.0}
+        first = dict(zip(states, ([run["velocity"][0] for run in runs], 0.0), strict=False))
         ways = []
         for d in _grid(order, runs, sample_time):
             # With the gain that suits the command's response best.

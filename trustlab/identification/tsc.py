@@ -352,7 +352,7 @@ ROBOT = Model(
     coordinates={"a": "rate"},
     build=lambda **values: _robot_of(ALONE, values),
     derived={"b": gain_of_human_performance},
-    hints=HINTS,
+    hints=_joint(ALONE, HINTS),
     check=_check_robot,
 )
 

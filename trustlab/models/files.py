@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from trustlab.models.checks import shown
@@ -15,6 +16,18 @@ def path_of(name: str, value: object) -> Path:
     if not isinstance(value, str | os.PathLike) or not str(value) or "\0" in str(value):
         raise ValueError(f"{name} must be a path, got {shown(value)}")
     return Path(value)
+
+
+@contextlib.contextmanager
+def writing(path: str | os.PathLike, kind: type[Exception] = ValueError) -> Iterator[None]:
+    """Turn an error of the system into one of this kind, which names the path and the remedy."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(
+            f"cannot write {path}: {error.strerror or error}; give a folder that is there and that "
+            "you may write to, with room"
+        ) from error
 
 
 def write_atomically(path: str | os.PathLike, content: bytes | str, mode: int = 0o666) -> None:

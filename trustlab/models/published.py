@@ -9,13 +9,16 @@ from trustlab.models.checks import did_you_mean, one_of
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 
 
+class _MissingError(KeyError, ValueError):
+    __str__ = ValueError.__str__  # a KeyError shows its words in quotation marks
+
+
 class ByName(dict):
-    """A dictionary by name whose KeyError lists its names."""
+    """A dictionary by name whose error, of key and of value, lists its names."""
 
     def __missing__(self, key):
-        meant = did_you_mean(key, self) if isinstance(key, str) else ""
-        names = ", ".join(map(repr, self))
-        raise KeyError(f"nothing is called {key!r:.60}{meant} (there are {names})")
+        meant, names = did_you_mean(key, self), ", ".join(map(repr, self))
+        raise _MissingError(f"nothing is called {key!r:.60}{meant} (there are {names})")
 
 
 def data_folder(name: str) -> Path:

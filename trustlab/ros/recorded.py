@@ -15,8 +15,8 @@ from trustlab.models.extras import extra
 from trustlab.ros.feed import Feed
 from trustlab.ros.run import OWN_TYPES, RUN, STATES, RunSettings
 from trustlab.sessions.bags import PREFIX
-from trustlab.sessions.errors import SessionError, damage_named
-from trustlab.sessions.reading import read_session
+from trustlab.sessions.errors import SessionError, damage_named, source_named
+from trustlab.sessions.reading import existing, read_session
 from trustlab.sessions.session import Session
 from trustlab.sessions.writing import write_recording, write_session
 from trustlab.testbeds.condition_run import condition_measures
@@ -93,6 +93,8 @@ def read_run(path: str | Path, run: RunSettings | None = None, own_rules: bool =
         raise SessionError(f"there is no file {path}")
     if path.suffix == LOG:
         return finish_run(path, run, own_rules)
+    with source_named(str(path)):
+        existing(path)
     with damage_named(f"{path} is not the whole bag of a run", "read its log, if there is one"):
         replay = Replay(recorded_messages(path), run, own_rules)
         logged = replay.session()

@@ -301,7 +301,7 @@ def read_toml(path: str | Path) -> RunSettings:
         run.core()
         return run
     except (ValueError, OSError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise ValueError(f"{path}: {getattr(error, 'strerror', error)}") from error
 
 
 def _model_of(table: Mapping, folder: Path) -> tuple[Any, dict]:

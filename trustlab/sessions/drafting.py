@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from trustlab.models.files import path_of
+from trustlab.models.files import path_of, writing
 from trustlab.sessions.columns import BLANKS
 from trustlab.sessions.errors import SessionError, damage_named, source_named
 from trustlab.sessions.reading import existing
@@ -99,7 +99,10 @@ def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) 
                 import pyarrow.parquet as pq
 
                 layout, frame = [], pq.read_table(source).to_pandas(ignore_metadata=True)
-    target.write_text(_recipe(source.name, layout, frame), encoding="utf-8")
+        if frame.empty:
+            raise SessionError("no sample follows the names of its columns; draft from a whole log")
+    with writing(target, SessionError):
+        target.write_text(_recipe(source.name, layout, frame), encoding="utf-8")
     return target
 
 
@@ -114,6 +117,8 @@ def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
     lines = text.splitlines()
     skipped = next((k for k, line in enumerate(lines) if not line.startswith("#")), 0)
     sample = [line.strip(" ") for line in lines[skipped : skipped + 50]]
+    if not any(sample):
+        return [], pd.DataFrame()
     for delimiter in ";\t|, ":
         rows = [*csv.reader(sample, delimiter=delimiter, skipinitialspace=True)]
         widths = {len(row) for row in rows if row}

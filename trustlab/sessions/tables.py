@@ -53,6 +53,7 @@ def positions(chosen: Chosen, names: Sequence[str], header: bool = True) -> dict
     titles: list[Any] = [*names] if header else [*range(len(names))]
     places = {}
     for name, column in chosen.items():
+        column = str(column) if header else column  # streams of XDF come with numbers for names
         if titles.count(column) != 1:
             fault = "occurs twice; rename or remove one"
             if column not in titles:

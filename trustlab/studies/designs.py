@@ -258,8 +258,8 @@ def latin_square_design(
         )
         if whole_squares:
             raise ValueError(
-                f"{text}; latin_square_design(..., whole_squares=False) takes {n} all the same, in "
-                "a design that is not balanced"
+                f"{text}; whole_squares=False takes {n} all the same, in a design that is not "
+                "balanced"
             )
         warn(
             f"{n} participants fill half of the last square: each of the {k} conditions stands "

@@ -297,10 +297,10 @@ def score(
         on &= ((table - low) / step % 1.0).sub(0.5).abs() > 0.5 - 1e-9
     for i, j in np.argwhere(~on.to_numpy()):
         raise ValueError(
-            f"answers: {table.columns[j]} of {table.index[i]} is {table.iloc[i, j]:g}, not on the "
-            f"scale from {low:g} to {high:g} in steps of {step}; fill in from the records what is "
-            "missing (nan), or leave the subject out; if the form had another scale, score by "
-            "dataclasses.replace(questionnaire, low=…, high=…, step=…)"
+            f"answers: {table.columns[j]} of subject {_words(table.index[i])} is "
+            f"{table.iloc[i, j]:g}, not on the scale from {low:g} to {high:g} in steps of {step}; "
+            "correct it from the records, or leave the subject out; if the form had another scale, "
+            "score by dataclasses.replace(questionnaire, low=…, high=…, step=…)"
         )
     name, ends, kind = questionnaire.name, low + high, "mean"
     if questionnaire.task_load:
@@ -325,12 +325,18 @@ def score(
         possible = (wins >= least).all(axis=1) & (wins[:, -1] == 15.0)
         for row in w.index[~(possible & w.isin(range(6)).all(axis=1))]:
             raise ValueError(
-                f"weights: {w.loc[row].tolist()} of {row} are not those of fifteen choices between "
-                "pairs: six whole numbers from 0 to 5 with the sum 15 (nan where there are none)"
+                f"weights: {w.loc[row].tolist()} of subject {_words(row)} are not those of fifteen "
+                "choices between pairs: six whole numbers from 0 to 5 with the sum 15 (nan where "
+                "there are none)"
             )
         scores[f"{name}_weighted"] = (w * whole).sum(axis=1) / w.sum(axis=1)
     result = labelled(pd.DataFrame(scores).reset_index(), origin_of(answers))
     return ScaleScores(questionnaire, result, coded)
+
+
+def _words(labels: tuple) -> str:
+    """Return a subject, and the condition where there are several."""
+    return ", ".join(map(str, labels))
 
 
 def _read(

@@ -15,6 +15,7 @@ import pandas as pd
 from trustlab.models.checks import of_class, one_of, shown
 from trustlab.models.display import Result
 from trustlab.models.extras import extra
+from trustlab.models.files import writing
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.words import apa_number, in_words, left_out, printed
 
@@ -83,7 +84,7 @@ class StudyReport(Result):
         Raises
         ------
         ValueError
-            If the ending is another one.
+            If the ending is another one, or the place cannot be written to.
         """
         path = Path(path)
         kind = one_of(f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex"))
@@ -111,7 +112,8 @@ class StudyReport(Result):
             for title, table in tables.items():
                 cells = table.map(_in_latex).rename(columns=_in_latex)
                 parts += ["", cells.to_latex(index=False, caption=_in_latex(title))]
-        path.write_text("\n".join(parts), encoding="utf-8")
+        with writing(path):
+            path.write_text("\n".join(parts), encoding="utf-8")
         return path
 
 

@@ -17,7 +17,7 @@ from numpy.random import SeedSequence
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import counted, of_class, one_of, shown, warn, whole_number
 from trustlab.models.display import Result, axes_or_new
-from trustlab.models.files import path_of
+from trustlab.models.files import path_of, writing
 from trustlab.sessions.writing import write_session
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
@@ -314,7 +314,8 @@ def virtual_study(
                 f"out: {folder} holds files that are not known to be of this study; give a new or "
                 "empty folder"
             )
-        (folder / "sessions").mkdir(parents=True, exist_ok=True)
+        with writing(folder):
+            (folder / "sessions").mkdir(parents=True, exist_ok=True)
     fixed = {"testbed": bed, "folder": folder and str(folder / "sessions")}
     orders = ["/".join(order) for order in design.table().to_numpy()]
     done = run_campaign(

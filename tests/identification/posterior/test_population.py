@@ -7,6 +7,7 @@ exactly; half-t spreads and their correlations by simulation of the prior.
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -95,6 +96,24 @@ def test_draws_count_as_the_likelihood_whatever_their_prior():
 
 
 # --- people ---------------------------------------------------------------------------------------
+
+
+def test_a_correlation_of_the_prior_is_that_of_new_people(monkeypatch):
+    """It was divided out and lost. Oracle: like people under a prior without, turned alike."""
+    monkeypatch.setattr(pooling, "admissible", lambda thetas: np.full(len(thetas), True))
+    matrix = np.eye(7)
+    matrix[0, 1] = matrix[1, 0] = 0.9
+    people, found = np.random.default_rng(3).standard_normal((4, 1, 7)), []
+    for prior in (tl.Prior(), tl.Prior(correlation=matrix)):
+        mean, deviation, whitening = (part[..., :7] for part in prior.vectors(0))
+        target = SimpleNamespace(mean=mean, whitening=whitening)
+        thetas = mean + people @ np.linalg.inv(whitening[:7]).T
+        known = [SimpleNamespace(thetas=each, target=target) for each in thetas]
+        rng = np.random.default_rng(1)
+        new = pooling._new_people(pooling._pooled(known, prior, rng), prior, rng)
+        found.append((new - mean) / deviation)
+    alone, together = found
+    np.testing.assert_allclose(together, alone @ np.linalg.cholesky(matrix).T, atol=1e-6)
 
 
 def test_everyone_is_held_by_the_others(people):

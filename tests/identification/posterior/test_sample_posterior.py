@@ -16,6 +16,7 @@ from scipy import special, stats
 
 import trustlab as tl
 from tests.house.documents import ROOT
+from tests.identification import cases
 from tests.identification.posterior import simulated_logs
 from tests.identification.posterior.make_coverage import LOGS, NOISES, ranks_of
 from trustlab.identification.posterior import sampling
@@ -38,10 +39,10 @@ from trustlab.sessions.metrics import window_mean
 RANKS = pd.read_csv(Path(__file__).with_name("ranks.csv"))
 
 
-def ranks(cases, **settings):
+def ranks(logs, **settings):
     """The share of draws below the truth, by case and parameter of the model."""
     rows = []
-    for seed, (session, theta) in enumerate(cases):
+    for seed, (session, theta) in enumerate(logs):
         posterior = tl.sample_posterior(session, seed=seed, **settings)
         truth = physical(theta[None], 0.1).iloc[0]
         known = [name for name in posterior.draws if np.isfinite(truth[name])]
@@ -291,6 +292,15 @@ def test_a_delay_is_drawn():
     assert "mode_delay" not in tl.sample_posterior(late).draws
 
 
+def test_the_plot_has_the_log_s_own_time_and_the_length_of_its_blocks():
+    log = cases.session(np.repeat([1.0, 0.0] * 3, 60), step=0.9)
+    late = tl.Session(log.data.set_axis(log.t + 500.0), log.metadata)
+    line = tl.sample_posterior(late, n=100).plot()[-1, -1].get_lines()[0]
+    assert line.get_xdata()[0] == pytest.approx(late.t[0] + 0.45)
+    assert line.get_label() == "measured, 0.9-s means"
+    plt.close("all")
+
+
 def test_runs_share_parameters_and_keep_their_beginnings():
     rng = np.random.default_rng(32)
     sessions = [simulated_logs.printed_case(rng, "white", minutes=3.0)[0] for _ in range(2)]
@@ -310,8 +320,11 @@ def test_what_is_not_understood_is_refused():
     ):
         with pytest.raises(tl.IdentificationError, match=says):
             tl.sample_posterior(log)
-    with pytest.raises(ValueError, match="correlation"):
-        tl.Prior(correlation=np.eye(3))
+    one_sided = np.eye(7)
+    one_sided[0, 1] = 0.9
+    for matrix in (np.eye(3), one_sided, np.ones((7, 7))):
+        with pytest.raises(ValueError, match=r"correlation must be a symmetric, positive definite"):
+            tl.Prior(correlation=matrix)
     stated = tl.Prior(human_p_min=(3.4, 0.1))
     assert tl.sample_posterior(far, prior=stated).draws["human_p_max"].mean() > 3.0
 

@@ -212,9 +212,12 @@ class Prior:
                     raise ValueError(f"median of {name} must lie {limits}, got {median}")
         if self.correlation is not None:
             matrix = finite_numbers("correlation", self.correlation)
-            if matrix.shape != (SHARED, SHARED) or not np.allclose(np.diag(matrix), 1.0):
+            unit = matrix.shape == (SHARED, SHARED) and np.allclose(np.diag(matrix), 1.0)
+            even = unit and np.allclose(matrix, matrix.T)
+            if not (even and np.linalg.eigvalsh(matrix)[0] > 1e-12):
                 raise ValueError(
-                    f"correlation must be a ({SHARED}, {SHARED}) matrix with unit diagonal"
+                    "correlation must be a symmetric, positive definite "
+                    f"({SHARED}, {SHARED}) matrix with unit diagonal"
                 )
 
     def table(self) -> pd.DataFrame:
@@ -246,10 +249,14 @@ class Prior:
         mean = np.array([SCALES[kind].to(getattr(self, kind)[0]) for kind in kinds])
         deviation = np.array([getattr(self, kind)[1] for kind in kinds])
         whitening = np.diag(1.0 / deviation)
-        if self.correlation is not None:
-            factor = np.linalg.inv(np.linalg.cholesky(self.correlation))
-            whitening[:SHARED, :SHARED] = np.tril(factor) / deviation[:SHARED]
+        factor = np.tril(np.linalg.inv(factor_of(self)))
+        whitening[:SHARED, :SHARED] = factor / deviation[:SHARED]
         return mean, deviation, whitening
+
+
+def factor_of(prior: Prior) -> np.ndarray:
+    """Return the Cholesky factor of the correlation of the first seven."""
+    return np.linalg.cholesky(np.eye(SHARED) if prior.correlation is None else prior.correlation)
 
 
 def prior_of(mean: np.ndarray, covariance: np.ndarray, prior: Prior | None = None) -> Prior:
@@ -299,7 +306,7 @@ class Blocks(NamedTuple):
     Block means of P_h and P_r, shape (2, blocks), and which are known; per stretch of constant mode
     within a block its samples, mode and block; where each run begins and the last ends, in
     stretches and in blocks, and the window of its means in samples, 1 for none; sample time [s];
-    samples per block.
+    samples per block; time of the first sample [s].
     """
 
     measured: np.ndarray
@@ -312,6 +319,7 @@ class Blocks(NamedTuple):
     windows: np.ndarray
     step: float
     samples: int
+    start: float
 
 
 def blocks_of(problem: Problem) -> Blocks:
@@ -345,6 +353,7 @@ def blocks_of(problem: Problem) -> Blocks:
         windows=np.array([1 if problem.unwindow else run.window for run in runs]),
         step=step,
         samples=samples,
+        start=float(runs[0].t[0]),
     )
 
 

@@ -9,9 +9,9 @@ serve the Gibbs sampler of all.
 [H] Huang and Wand, Simple marginally noninformative prior distributions for covariance matrices,
 *Bayesian Analysis* 8 (2013), 439-452.
 
-Coordinates z are θ of the first seven parameters less the prior's mean, in its deviations. Half of
-the prior's variance is that of the population's mean, half the expected variance within it, so that
-a person of a population has the same prior, but for heavier tails, as a person alone.
+Coordinates z are θ of the first seven parameters, whitened by the prior. Half of the prior's
+variance is that of the population's mean, half the expected variance within it, so that a person of
+a population has the same prior, but for heavier tails, as a person alone.
 """
 
 from collections.abc import Iterable, Mapping
@@ -30,6 +30,7 @@ from trustlab.identification.posterior.density import (
     Prior,
     admissible,
     as_prior,
+    factor_of,
     physical,
     prior_of,
 )
@@ -290,7 +291,7 @@ def fit_population(
     -----
     Half of the prior's variance is that of the population's mean, half the expected variance within
     it: spreads are half-t with eight degrees of freedom, and correlations lie about 0 with a
-    standard deviation of 1/3.
+    standard deviation of 1/3, in coordinates that the prior makes independent.
 
     Examples
     --------
@@ -349,7 +350,7 @@ def _pooled(posteriors: list[Posterior], prior: Prior, rng: np.random.Generator)
     for posterior in posteriors:
         target, thetas = posterior.target, posterior.thetas[:, :SHARED]
         whitened = (thetas - target.mean[:SHARED]) @ target.whitening[:SHARED, :SHARED].T
-        draws.append((thetas - centre) / deviation)
+        draws.append((thetas - centre) / deviation @ np.linalg.inv(factor_of(prior)).T)
         base.append(0.5 * (whitened**2).sum(axis=1))
     return pool(draws, base, rng)
 
@@ -359,7 +360,7 @@ def _new_people(pooled: Pool, prior: Prior, rng: np.random.Generator) -> np.ndar
     centre, deviation = np.array(prior.vectors(0)[:2])[:, :SHARED]
     normal = rng.standard_normal(pooled.means.shape)
     z = pooled.means + np.einsum("sij,sj->si", np.linalg.cholesky(pooled.covariances), normal)
-    thetas = centre + deviation * z
+    thetas = centre + deviation * (z @ factor_of(prior).T)
     return thetas[admissible(thetas)]
 
 

@@ -216,13 +216,14 @@ class Posterior(Result):
         panels[0].legend(fontsize="small")
         blocks = self.target.blocks
         first_run = slice(blocks.first_block[1])
-        t = (np.arange(blocks.first_block[1]) + 0.5) * blocks.step * blocks.samples
+        length = blocks.step * blocks.samples
+        t = blocks.start + (np.arange(blocks.first_block[1]) + 0.5) * length
         curves = [simulate(theta, blocks)[:, first_run] for theta in self.thetas[:200]]
         bands = np.quantile(curves, [0.025, 0.5, 0.975], axis=0)
         for j, (panel, label) in enumerate([(human, "$P_h$"), (robot, "$P_r$")]):
             low, middle, high = bands[:, j]
             measured = blocks.measured[j, first_run]
-            panel.plot(t, measured, lw=0.5, color="0.6", label="measured, 1-s means")
+            panel.plot(t, measured, lw=0.5, color="0.6", label=f"measured, {length:g}-s means")
             panel.fill_between(t, low, high, color="C1", alpha=0.5, label="95 % of fitted curves")
             panel.plot(t, middle, color="C1", lw=1.2)
             panel.set(xlabel="time [s]", ylabel=label)
