@@ -105,7 +105,6 @@ KNOWN = {
     },
     "compare_trust_models": {
         "models": "foreign errors",
-        "against": "foreign errors",
     },
     "TrustComparison.paired": {
         "against": "foreign errors",
