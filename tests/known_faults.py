@@ -104,7 +104,6 @@ KNOWN = {
     },
     "compare_trust_models": {
         "models": "foreign errors",
-        "against": "foreign errors",
     },
     "TrustComparison.paired": {
         "against": "foreign errors",

@@ -91,12 +91,36 @@ def test_a_model_of_ones_own_is_compared():
     assert np.isfinite(table["log_score"]).all()
 
 
+def test_the_last_third_is_each_persons_own():
+    """Who had six trials has two in the last third; they had none where others had fifteen."""
+    rng = np.random.default_rng(0)
+    rows = [(i, k, rng.random(), rng.random()) for i in range(8) for k in range(7 if i % 2 else 16)]
+    table = pd.DataFrame(rows, columns=["person", "trial", "rating", "p_r"])
+    panel = tl.read_people(table, {"resolution": 0.01})
+    scores = tl.compare_trust_models(panel, ["beta"], folds=2).scores
+    scores = scores.query("split == 'last third'").set_index("person")
+    model = tl.fit_trust(panel_until(panel, np.array([10, 4] * 4)), "beta").model
+    known = replace(panel, ratings=panel.ratings.copy())
+    known.ratings[1, 5:] = np.nan
+    mean = predict(model, known).mean[1, 4:6]
+    expected = np.square(mean - panel.ratings[1, 5:7]).mean()
+    assert scores.loc[1, "free_error"] == pytest.approx(expected, abs=1e-3)
+    assert scores["free_error"].notna().all()
+
+
 def test_bad_input_is_named():
     panel = tl.read_people("hybrid_vr")
     with pytest.raises(ValueError, match="model must be one of"):
         tl.fit_trust(panel, "asymetric")
     with pytest.raises(ValueError, match="folds=3"):
         tl.compare_trust_models(panel.of(range(3)), FAST)
+    with pytest.raises(ValueError, match="and there is one;"):
+        tl.compare_trust_models(panel.of([0]), FAST)
+    with pytest.raises(ValueError, match="against must be one of 'beta'"):
+        tl.compare_trust_models(panel, ["beta"], against="performance")
+    for models in ("beta", []):
+        with pytest.raises(ValueError, match=r"models must be several, or \[one\]"):
+            tl.compare_trust_models(panel, models)
     ratings = panel.ratings.copy()
     ratings[:, 1:] = np.nan
     unrated = replace(panel, ratings=ratings)

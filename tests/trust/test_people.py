@@ -165,7 +165,7 @@ def rows(**columns):
         ({"trial": ["first", "2", "3"] * 2}, "row 0 .* no number of a trial"),
         ({"trial": [0, 1, 1, 0, 1, 2]}, "row 2 .* a second time"),
         ({"rating": ["a", *[0.5] * 5]}, "row 0 .* rating 'a'"),
-        ({"p_r": [np.nan, 1, 1, np.nan, np.nan, 1]}, "row 4 .* p_r nan"),
+        ({"p_r": [np.nan, 1, 1, np.nan, np.nan, 1]}, "row 4 .* p_r nan; it must not be missing"),
         ({"p_h": 55.0}, "row 1 .* p_h 55.0, outside the scale from 0 to 1"),
         ({"followed": 7.0}, "followed 7.0"),
         ({"dt": -1.0}, "dt -1.0, outside the scale from 0 to inf"),
@@ -191,6 +191,12 @@ def test_trials_in_text_are_in_the_order_of_numbers():
         ("hybrid_vr", {"low": 1, "high": 99}, "'hybrid_vr' .* recipe of its own"),
         (rows(), {"before": "no"}, "before must be True or False"),
         (rows(), {"performance": [1, 1]}, "performance"),
+        (rows(), {"performance": None}, "performance must be"),
+        (rows(), {"performance": [0.3, 0, 1]}, "performance must have 2"),
+        (rows(), {"low": "0"}, "low must be a number"),
+        (rows(), {"columns": ["rating"]}, "columns must be"),
+        (rows(), {"cautions": "small"}, "cautions must be a list"),
+        (rows(rating=4.0), {"low": 1, "high": 7, "resolution": 1}, "a share .* one point .* 0.16"),
         (rows()[::3], {}, "no event"),
     ],
 )
@@ -205,3 +211,16 @@ def test_a_recipe_may_name_another_column_beside_one_of_the_signals_name():
     table = pd.DataFrame({"person": "a", "trial": [0, 1], "rating": 9.0, "answer": [0.1, 0.2]})
     panel = tl.read_people(table.assign(p_r=1.0), {"columns": {"rating": "answer"}})
     np.testing.assert_array_equal(panel.ratings, [[0.1, 0.2]])
+
+
+@pytest.mark.parametrize(
+    "content", [b"person;trial\na;1\n", b"", b"a,b\n1,2\n1,2,3\n", b"a,b\n\xe9,1\n"]
+)
+def test_a_file_that_is_no_table_is_named_with_what_to_do(tmp_path, content):
+    """The errors were those of pandas."""
+    path = tmp_path / "mine.csv"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"mine.csv: no table .* commas and decimal points"):
+        tl.read_people(path)
+    with pytest.raises(ValueError, match=r"gone.toml: no recipe .* a file in TOML"):
+        tl.read_people(rows(), tmp_path / "gone.toml")

@@ -12,8 +12,8 @@ from trustlab.models.checks import of_class, one_of, spawned, whole_number
 from trustlab.models.display import Result
 from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.fitting import CRITERIA, TrustFit, fitted, model_class
-from trustlab.trust.interface import TrustDynamics
-from trustlab.trust.likelihood import cell, predict, simulate_ratings
+from trustlab.trust.interface import TrustDynamics, cell
+from trustlab.trust.likelihood import predict, simulate_ratings
 from trustlab.trust.panel import Panel, panel_until
 
 # Of every person: squared errors, less is better; log score in nats a rating, more is better; log
@@ -61,8 +61,9 @@ class TrustComparison(Result):
         Returns
         -------
         pandas.DataFrame
-            Columns split, model, free_rmse and step_rmse (from no rating but the first, or from all
-            so far), log_score, reliance_loss, coverage (of 90 % intervals).
+            Columns split, model, free_rmse (from no rating but the first; of the last third, but
+            those before it), step_rmse (from all so far), log_score, reliance_loss, coverage (of
+            90 % intervals).
         """
         means = self.scores.groupby(["split", "model"], sort=False)[list(MEASURES)].mean()
         errors = list(MEASURES[:2])
@@ -102,6 +103,8 @@ def named_models(models: Models) -> dict[str, type[TrustDynamics]]:
     """Return classes by name: all models and baselines when none are chosen."""
     if models is None:
         return MODELS | BASELINES
+    if isinstance(models, str) or not len(models):
+        raise ValueError(f"models must be several, or [one], got {models!r}")
     if not isinstance(models, Mapping):
         models = {getattr(model, "__name__", model): model for model in models}
     return {str(name): model_class(model) for name, model in models.items()}
@@ -112,7 +115,7 @@ def compare_trust_models(
     models: Models = None,
     *,
     folds: int = 5,
-    against: str = "performance",
+    against: str | None = None,
     criterion: str = "step",
     seed: int = 0,
 ) -> TrustComparison:
@@ -127,8 +130,9 @@ def compare_trust_models(
         Names or classes, or classes by name; the seven models and the baselines when not given.
     folds : int
         Groups of people, each left out once.
-    against : str
-        The model that others are compared with.
+    against : str, optional
+        The model that others are compared with; performance, or the first where that is not among
+        them, when not given.
     criterion : {"step", "free"}
         What models are fitted for, see `fit_trust`.
     seed : int
@@ -157,23 +161,24 @@ def compare_trust_models(
     """
     of_class("panel", panel, Panel, "tl.read_people(…) reads one")
     chosen = named_models(models)
-    if against not in chosen and against == "performance":
-        against = next(iter(chosen))
-    one_of("against", against, list(chosen))
+    usual = "performance" if "performance" in chosen else next(iter(chosen))
+    against = one_of("against", usual if against is None else against, list(chosen))
     free = one_of("criterion", criterion, CRITERIA) == "free"
     folds = whole_number("folds", folds, least=2)
+    if len(panel) == 1:
+        raise ValueError("people are left out, and there is one; tl.fit_trust(…) fits one")
     if len(panel) < folds:
         raise ValueError(f"{folds} folds need as many people, got {len(panel)}; folds={len(panel)}")
     order = np.random.default_rng(spawned(seed, 1)[0]).permutation(len(panel))
     groups = np.array_split(order, folds)
-    later = panel.trials - panel.trials // 3
-    # What is fitted, what is scored, and after which event.
-    splits = [
+    # What is fitted, what is scored, and after which event of every person.
+    splits: list[tuple[str, Panel, Panel, Any]] = [
         ("people", panel.of(np.setdiff1d(order, group)), panel.of(group), 0) for group in groups
     ]
-    splits += (
-        [("last third", panel_until(panel, later), panel, later)] if later < panel.trials else []
-    )
+    events = np.isfinite(panel.events.dt).sum(axis=1)
+    if events.max() > 2:
+        later = events - events // 3
+        splits.append(("last third", panel_until(panel, later), panel, later))
     # Where all people are fitted best is a good place to start from, and nothing more.
     starts = {name: fitted(panel, model, free=free).coordinates for name, model in chosen.items()}
     tables = []
@@ -185,8 +190,9 @@ def compare_trust_models(
     return TrustComparison(scores, against, panel.source, panel.cautions)
 
 
-def _scores(fit: TrustFit, panel: Panel, since: int) -> pd.DataFrame:
+def _scores(fit: TrustFit, panel: Panel, since: int | np.ndarray) -> pd.DataFrame:
     """Return every person's measures on the events from one on."""
+    scored = np.arange(panel.trials) >= np.reshape(since, (-1, 1))
     actual = panel.ratings[:, 1:]
     steps = predict(fit.model, panel)
     free = predict(fit.model, panel, free=True, known=since)
@@ -202,7 +208,10 @@ def _scores(fit: TrustFit, panel: Panel, since: int) -> pd.DataFrame:
         "reliance_loss": -special.log_expit(-odds) - panel.events.followed * odds,
         "coverage": np.where(np.isnan(actual), np.nan, np.transpose(inside)),
     }
-    means = {name: pd.DataFrame(value[:, since:]).mean(axis=1) for name, value in values.items()}
+    means = {
+        name: pd.DataFrame(np.where(scored, value, np.nan)).mean(axis=1)
+        for name, value in values.items()
+    }
     return pd.DataFrame({"person": panel.people} | means)
 
 

@@ -152,8 +152,10 @@ def fit_trust(
     model : str or subclass of TrustDynamics
         A name in `trust.MODELS` or `trust.BASELINES`, or a model of one's own.
     criterion : {"step", "free"}
-        "step": each rating is predicted from all before it, the exact likelihood. "free": from the
-        first alone, which asks for the course over many trials; intervals are then not valid.
+        "step": each rating is predicted from all before it, the likelihood; exact for ratings that
+        nobody rounds, and in the grid. In linear models what a rounded rating says is normal, with
+        its mean and variance. "free": from the first alone, which asks for the course over many
+        trials; intervals are then not valid.
 
     Returns
     -------

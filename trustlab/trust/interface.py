@@ -13,6 +13,11 @@ from trustlab.models.checks import between
 LEAST = 1e-30
 # How close to an end of its range a parameter may start.
 MARGIN = 1e-6
+# Of a normal distribution: √(2π); where nothing is left of it; width of a cell that is nearly a
+# point [standard deviations].
+ROOT = np.sqrt(2.0 * np.pi)
+FAR = 37.0
+NARROW = 1e-3
 
 
 class Event(NamedTuple):
@@ -22,7 +27,8 @@ class Event(NamedTuple):
     Parameters
     ----------
     dt : float or numpy.ndarray
-        Its length: seconds, or 1 for a trial.
+        Its length: seconds, or 1 for a trial; rates of "performance" and "asymmetric" are per unit
+        of it, and other models count events.
     p_r, p_h : float or numpy.ndarray
         Performance of robot and person, 0 to 1.
     fault : float or numpy.ndarray
@@ -44,6 +50,18 @@ class Event(NamedTuple):
     seen: Any = 1.0
 
 
+def cell(rating: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the ends of what is rounded to a rating; those at the ends of the scale are open. Where
+    nobody rounds, both are the rating.
+    """
+    if not resolution:
+        return rating, rating
+    half = 0.5 * resolution
+    low = np.where(rating - half <= 0.0, -np.inf, rating - half)
+    return low, np.where(rating + half >= 1.0, np.inf, rating + half)
+
+
 class NormalRating(NamedTuple):
     """
     Ratings that are normal; what lies beyond the scale is rated as its end.
@@ -51,11 +69,49 @@ class NormalRating(NamedTuple):
     Parameters
     ----------
     mean, sd : numpy.ndarray, shape (N,)
-        Expected rating and standard deviation.
+        Mean and standard deviation, before the ends of the scale cut them.
     """
 
     mean: np.ndarray
     sd: np.ndarray
+
+    @property
+    def expected(self) -> np.ndarray:
+        """The expected rating: none is beyond the scale."""
+        return self._ramp(0.0) - self._ramp(1.0)
+
+    def _ramp(self, end: float) -> np.ndarray:
+        """Return by how much ratings are expected to exceed a number."""
+        z = (self.mean - end) / self.sd
+        return self.sd * (z * scipy.special.ndtr(z) + np.exp(-0.5 * z * z) / ROOT)
+
+    def within(self, low, high) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return mean and variance of what was rounded to a rating, before the ends cut it.
+
+        Parameters
+        ----------
+        low, high : array_like, shape (N,)
+            Ends of what is rounded to the rating.
+        """
+        # In standard deviations from the mean, turned over where that side is nearer to it.
+        low, high = (np.subtract(end, self.mean) / self.sd for end in (low, high))
+        sign = np.where(low + high < 0.0, -1.0, 1.0)
+        low, high = np.minimum(sign * low, sign * high), np.maximum(sign * low, sign * high)
+        low = np.maximum(low, -FAR)
+        high = np.minimum(high, low + NARROW**-2)
+        middle, width = 0.5 * (low + high), high - low
+        # The density at the upper end, and the probability, by the density at the lower end.
+        fall = np.exp(-middle * width)
+        mass = scipy.special.erfcx(low / np.sqrt(2.0))
+        mass = 0.5 * ROOT * (mass - fall * scipy.special.erfcx(high / np.sqrt(2.0)))
+        # Of a narrow cell the series: the closed form is a difference of like numbers there.
+        narrow = width < NARROW
+        mass = np.where(narrow, 1.0, mass)
+        mean = np.where(narrow, middle * (1.0 - width**2 / 12.0), -np.expm1(-middle * width) / mass)
+        variance = 1.0 + (low - high * fall) / mass - mean**2
+        variance = np.where(narrow, width**2 / 12.0, np.clip(variance, 0.0, 1.0))
+        return self.mean + sign * self.sd * mean, self.sd**2 * variance
 
     def mass(self, low, high) -> np.ndarray:
         """
@@ -75,7 +131,7 @@ class NormalRating(NamedTuple):
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         """
-        Return a rating of every person.
+        Return a rating of every person, before the ends of the scale cut it.
 
         Parameters
         ----------
@@ -148,8 +204,14 @@ class GridRating(NamedTuple):
 
     @property
     def mean(self) -> np.ndarray:
-        """The expected rating."""
+        """Expected trust."""
         return self.weights @ self.bins
+
+    @property
+    def expected(self) -> np.ndarray:
+        """The expected rating: none is beyond the scale."""
+        ratings = NormalRating(self.bins, np.asarray(self.sd)[..., None])
+        return (self.weights * ratings.expected).sum(axis=-1)
 
     def mass(self, low, high) -> np.ndarray:
         """
@@ -165,7 +227,7 @@ class GridRating(NamedTuple):
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         """
-        Return a rating of every person.
+        Return a rating of every person, before the ends of the scale cut it.
 
         Parameters
         ----------
@@ -208,6 +270,8 @@ class TrustDynamics:
 
     how_to_get: ClassVar[str] = "see trustlab.trust.MODELS"
     title: ClassVar[str] = ""
+    # Whether `start` and `learn` take the `resolution` of ratings, too.
+    rounds: ClassVar[bool] = False
     # Makes the model that is (3.2) with these parameters, where (3.2) is a case of the model: a fit
     # begins there, too.
     as_performance: ClassVar[Callable[..., Any] | None] = None
@@ -266,7 +330,8 @@ class TrustDynamics:
 
     def rating(self, belief: Any) -> Any:
         """
-        Return the distribution of the next rating: `mean`, `mass(low, high)` and `draw(rng)`.
+        Return the distribution of the next rating: `mean`, `mass(low, high)` and `draw(rng)`; also
+        `expected`, where the ends of the scale cut the mean.
 
         Parameters
         ----------

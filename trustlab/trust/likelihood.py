@@ -1,12 +1,12 @@
 """A model of trust run along a panel: predictions, their log-likelihood, draws from it."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.trust.interface import LEAST, TrustDynamics
-from trustlab.trust.panel import Panel
+from trustlab.trust.interface import LEAST, TrustDynamics, cell
+from trustlab.trust.panel import Panel, panel_until
 
 
 class Predictions(NamedTuple):
@@ -27,7 +27,8 @@ class Predictions(NamedTuple):
     @property
     def mean(self) -> np.ndarray:
         """Expected ratings, shape (N, K)."""
-        return np.stack([rating.mean for rating in self.distributions], axis=1)
+        each = [getattr(rating, "expected", rating.mean) for rating in self.distributions]
+        return np.stack(each, axis=1)
 
     def probability(self, panel: Panel) -> np.ndarray:
         """Return the probability of each rating after an event, shape (N, K); NaN where none is."""
@@ -41,14 +42,14 @@ class Predictions(NamedTuple):
         return np.where(np.isnan(panel.ratings[:, 1:]), np.nan, probability)
 
 
-def cell(rating: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of what is rounded to a rating; those at the ends of the scale are open."""
-    half = 0.5 * resolution
-    low = np.where(rating - half <= 0.0, -np.inf, rating - half)
-    return low, np.where(rating + half >= 1.0, np.inf, rating + half)
+def _scale(model: TrustDynamics, panel: Panel) -> dict[str, Any]:
+    """Return what a model is told of the scale beside ratings."""
+    return {"resolution": panel.resolution} if model.rounds else {}
 
 
-def predict(model: TrustDynamics, panel: Panel, free: bool = False, known: int = 0) -> Predictions:
+def predict(
+    model: TrustDynamics, panel: Panel, free: bool = False, known: int | np.ndarray = 0
+) -> Predictions:
     """
     Return what a model predicts of a panel.
 
@@ -60,21 +61,23 @@ def predict(model: TrustDynamics, panel: Panel, free: bool = False, known: int =
         Events, and ratings to learn from.
     free : bool
         Learn from no rating but the first, or the `known` first ones.
-    known : int
+    known : int or numpy.ndarray, shape (N,)
         With `free`: ratings after how many events are learned from.
 
     Returns
     -------
     Predictions
     """
-    belief = model.start(panel.ratings[:, 0])
+    scale = _scale(model, panel)
+    ratings = panel_until(panel, known).ratings if free else panel.ratings
+    belief = model.start(ratings[:, 0], **scale)
     distributions, preference = [], np.empty((len(panel), panel.trials))
     for k in range(panel.trials):
         preference[:, k] = model.preference(belief)
         belief = model.step(belief, panel.event(k))
         distributions.append(model.rating(belief))
-        if not free or k < known:
-            belief = model.learn(belief, panel.ratings[:, k + 1])
+        if not free or k < np.max(known):
+            belief = model.learn(belief, ratings[:, k + 1], **scale)
     return Predictions(distributions, preference)
 
 
@@ -101,12 +104,12 @@ def simulate_ratings(model: TrustDynamics, panel: Panel, rng: np.random.Generato
     Panel
     """
     ratings = panel.ratings.copy()
-    belief = model.start(ratings[:, 0])
+    belief = model.start(ratings[:, 0], **_scale(model, panel))
     steps = round(1.0 / panel.resolution)
     for k in range(panel.trials):
         belief = model.step(belief, panel.event(k))
-        drawn = np.clip(model.rating(belief).draw(rng), 0.0, 1.0)
-        rounded = np.round(drawn * steps) / steps
-        ratings[:, k + 1] = np.where(np.isnan(ratings[:, k + 1]), np.nan, rounded)
-        belief = model.learn(belief, ratings[:, k + 1])
+        drawn = np.where(np.isnan(ratings[:, k + 1]), np.nan, model.rating(belief).draw(rng))
+        ratings[:, k + 1] = np.round(np.clip(drawn, 0.0, 1.0) * steps) / steps
+        # What was rounded depends on what was meant before, not on what was written down.
+        belief = model.learn(belief, drawn if model.rounds else ratings[:, k + 1])
     return replace(panel, ratings=ratings)

@@ -7,7 +7,15 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import flag, one_of, positive, shown
+from trustlab.models.checks import (
+    finite_array,
+    finite_number,
+    flag,
+    in_order,
+    one_of,
+    positive,
+    shown,
+)
 from trustlab.trust.interface import Event
 
 # Columns of a panel in a table, beside person and trial.
@@ -83,10 +91,10 @@ class Panel:
         return replace(self, people=people, events=events, ratings=self.ratings[rows])
 
 
-def panel_until(panel: Panel, event: int) -> Panel:
-    """Return a panel without the ratings and the reliance after an event, counted from 1."""
-    later = np.arange(panel.trials) >= event
-    ratings = np.where(np.append(False, later), np.nan, panel.ratings)
+def panel_until(panel: Panel, event: int | np.ndarray) -> Panel:
+    """Return a panel without the ratings and reliance after an event (each person's), from 1."""
+    later = np.arange(panel.trials) >= np.reshape(event, (-1, 1))
+    ratings = np.where(np.pad(later, ((0, 0), (1, 0))), np.nan, panel.ratings)
     followed = np.where(later, np.nan, panel.events.followed)
     return replace(panel, ratings=ratings, events=panel.events._replace(followed=followed))
 
@@ -109,6 +117,8 @@ def panel_of(
     Signals of `Event` that the table lacks have their usual values; without a resolution it is the
     least difference of two ratings.
     """
+    if not isinstance(columns, Mapping):
+        raise ValueError(f"columns must be a table of signals and names, got {shown(columns)}")
     for signal in columns:
         one_of("a signal of columns", signal, KNOWN)
     wanted = {name: name for name in KNOWN if name in table or name in NEEDED} | dict(columns)
@@ -116,8 +126,11 @@ def panel_of(
         if column not in table:
             raise ValueError(f"the table has no column {column!r} (there are {', '.join(table)})")
     table = pd.DataFrame({signal: table[column] for signal, column in wanted.items()})
-    span, (worst, best) = positive("high - low", high - low), performance
+    low, high = in_order("low", low, "high", high)
+    span, (worst, best) = high - low, finite_array("performance", performance, length=2)
     positive("what lies between the two ends of performance", abs(best - worst))
+    if isinstance(cautions, str):
+        raise ValueError(f"cautions must be a list of texts, got {shown(cautions)}")
     table = table.assign(trial=pd.to_numeric(table["trial"], errors="coerce"))
     for row in table.index[table[["person", "trial"]].isna().any(axis=1)]:
         raise ValueError(f"row {row!r} of the table has no person, or no number of a trial")
@@ -141,10 +154,10 @@ def panel_of(
         right = values.between(least, most) | (column.isna() if name != "p_r" else False)
         # Before the first event there is nothing but a rating.
         for row, value in column[~right & ((number > 0) | (name == "rating"))].items():
-            raise ValueError(
-                f"row {row!r} of the table has {name} {shown(value)}, outside the scale from "
-                f"{least:g} to {most:g}{remedy}"
-            )
+            fault = "; it must not be missing"
+            if pd.notna(value):
+                fault = f", outside the scale from {least:g} to {most:g}{remedy}"
+            raise ValueError(f"row {row!r} of the table has {name} {shown(value)}{fault}")
     signals["p_r"] = (signals["p_r"] - worst) / (best - worst)
     # A signal that is not in the table, or missing there, has its usual value.
     signals = signals.fillna(Event()._asdict())
@@ -155,11 +168,16 @@ def panel_of(
     if resolution is None:
         levels = np.unique(np.round(ratings[np.isfinite(ratings)], 9))
         resolution = float(np.diff(levels).min()) if levels.size > 1 else 0.01
+    elif not 0.0 < finite_number("resolution", resolution) <= 0.5:
+        raise ValueError(
+            f"resolution {resolution} must be a share of the scale, above 0 and at most .5; one "
+            f"point of this one is {shown(1.0 / span)}"
+        )
     return Panel(
         tuple(people),
         Event(*(wide[name].to_numpy()[:, 1:] for name in SIGNALS)),
         ratings,
-        positive("resolution", resolution),
+        resolution,
         source,
         tuple(cautions),
     )

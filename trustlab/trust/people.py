@@ -14,6 +14,7 @@ from scipy import special
 
 from trustlab.models.checks import did_you_mean, one_of
 from trustlab.models.published import data_folder
+from trustlab.sessions.errors import damage_named
 from trustlab.trust.panel import Panel, panel_of
 
 SEVEN_POINTS: dict[str, Any] = {"low": 1.0, "high": 7.0, "resolution": 1.0 / 6.0}
@@ -38,10 +39,11 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
         `tl.read_live_study(folder)`.
     recipe : mapping or path, optional
         Of a file, table or study, or a TOML file that holds it: `columns`, which maps person,
-        trial (a number), rating, p_r and further signals of `Event` to the table's names; `low` and
-        `high`, the ends of the scale; `performance`, the values of p_r that are worst and best, 0
-        and 1 when not given; `before`, whether the first row of a person is the rating before the
-        first event; `resolution`; `source`; `cautions`.
+        trial (a number, which only orders rows: keep those without a rating), rating, p_r and
+        further signals of `Event` to the table's names; `low` and `high`, the ends of the scale;
+        `performance`, the values of p_r that are worst and best, 0 and 1 when not given; `before`,
+        whether the first row of a person is the rating before the first event; `resolution`, a
+        point as a share of the scale (1/6 of 1 to 7); `source`; `cautions`.
 
     Returns
     -------
@@ -74,7 +76,8 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
         file, read = SETS[name]
         return read(data_folder("people") / file)
     if isinstance(recipe, str | os.PathLike):
-        recipe = tomllib.loads(Path(recipe).read_text(encoding="utf-8"))
+        with damage_named(f"{recipe}: no recipe", "give a file in TOML"):
+            recipe = tomllib.loads(Path(recipe).read_text(encoding="utf-8"))
     settings = dict(recipe or {})
     for key in settings:
         one_of("a recipe's key", key, panel_of.__kwdefaults__)
@@ -87,7 +90,11 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
     if not path.is_file():
         meant = did_you_mean(name, SETS)
         raise ValueError(f"no set or file {str(name)!r}{meant} (sets: {', '.join(SETS)})")
-    return panel_of(pd.read_csv(path), **{"source": str(path), **settings})
+    with damage_named(f"{path}: no table", "save it with commas and decimal points, in UTF-8"):
+        table = pd.read_csv(path)
+        if table.shape[1] == 1:
+            raise ValueError(f"one column, {table.columns[0]!r}")
+    return panel_of(table, **{"source": str(path), **settings})
 
 
 def _hybrid(path: Path) -> Panel:

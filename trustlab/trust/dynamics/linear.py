@@ -5,7 +5,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from trustlab.trust.interface import Event, NormalRating, TrustDynamics, parameter
+from trustlab.trust.interface import Event, NormalRating, TrustDynamics, cell, parameter
 
 
 class Gaussian(NamedTuple):
@@ -36,6 +36,7 @@ class LinearTrust(TrustDynamics):
         Standard deviation of a rating about trust.
     """
 
+    rounds: ClassVar[bool] = True
     process_sd: float = parameter(0.05, 1e-3, 1.0)
     rating_sd: float = parameter(0.05, 1e-3, 1.0)
 
@@ -54,7 +55,7 @@ class LinearTrust(TrustDynamics):
         """
         raise NotImplementedError(f"{self.name} has no method transition")
 
-    def start(self, rating) -> Gaussian:
+    def start(self, rating, resolution: float = 0.0) -> Gaussian:
         """
         Return the belief after a first rating; trust is anywhere in [0, 1] where there is none.
 
@@ -62,11 +63,13 @@ class LinearTrust(TrustDynamics):
         ----------
         rating : array_like, shape (N,)
             Ratings, 0 to 1.
+        resolution : float
+            Step of the scale, 0 where nobody rounds.
         """
         rating = np.atleast_1d(rating)
         missing = np.isnan(rating)
         first = np.where(missing, 0.5, rating)
-        variance = np.where(missing, 1.0 / 12.0, self.rating_sd**2)
+        variance = np.where(missing, 1.0 / 12.0, self.rating_sd**2 + resolution**2 / 12.0)
         direction = np.array(self.direction)
         mean = np.array(self.offset) + first[:, None] * direction
         return Gaussian(mean, variance[:, None, None] * np.outer(direction, direction))
@@ -91,9 +94,10 @@ class LinearTrust(TrustDynamics):
         covariance[:, 0, 0] += self.process_sd**2 * event.dt
         return Gaussian(mean, covariance)
 
-    def learn(self, belief: Gaussian, rating) -> Gaussian:
+    def learn(self, belief: Gaussian, rating, resolution: float = 0.0) -> Gaussian:
         """
-        Return the belief after a rating; unchanged where it is NaN.
+        Return the belief after a rating, as a normal one of the same mean and covariance; unchanged
+        where the rating is NaN.
 
         Parameters
         ----------
@@ -101,14 +105,18 @@ class LinearTrust(TrustDynamics):
             The belief before it.
         rating : array_like, shape (N,)
             Ratings, 0 to 1.
+        resolution : float
+            Step of the scale, 0 where nobody rounds.
         """
-        error = rating - belief.mean[:, 0]
-        known = np.isfinite(error)
-        with_trust = belief.covariance[:, :, 0]
-        spread = belief.covariance[:, 0, 0] + self.rating_sd**2
-        gain = np.where(known, 1.0 / spread, 0.0)[:, None] * with_trust
-        mean = belief.mean + gain * np.where(known, error, 0.0)[:, None]
-        return Gaussian(mean, belief.covariance - gain[:, :, None] * with_trust[:, None, :])
+        before = self.rating(belief)
+        meant, left = before.within(*cell(np.asarray(rating, float), resolution))
+        known = np.isfinite(meant)
+        with_trust = belief.covariance[:, :, 0] / before.sd[:, None]
+        moved, fall = (meant - before.mean) / before.sd, 1.0 - left / before.sd**2
+        moved, fall = (np.where(known, each, 0.0) for each in (moved, fall))
+        mean = belief.mean + moved[:, None] * with_trust
+        outer = with_trust[:, :, None] * with_trust[:, None, :]
+        return Gaussian(mean, belief.covariance - fall[:, None, None] * outer)
 
     def rating(self, belief: Gaussian) -> NormalRating:
         """

@@ -6,12 +6,21 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from trustlab.trust.dynamics.linear import columns
-from trustlab.trust.interface import Event, GridRating, TrustDynamics, parameter
+from trustlab.trust.interface import (
+    Event,
+    GridRating,
+    NormalRating,
+    TrustDynamics,
+    cell,
+    parameter,
+)
 
 BINS = 100
 CENTRES = (np.arange(BINS) + 0.5) / BINS
 # Where the difference of bins i − j stands among the differences from −(BINS − 1) to BINS − 1.
 PLACE = np.arange(BINS)[:, None] - np.arange(BINS)[None, :] + BINS - 1
+# A cell so narrow is a point.
+POINT = 1e-5
 DIFFERENCES = np.arange(1 - BINS, BINS) / BINS
 
 
@@ -47,13 +56,14 @@ class GridTrust(TrustDynamics):
     """
 
     title: ClassVar[str] = "OPTIMo (Xu and Dudek)"
+    rounds: ClassVar[bool] = True
     constant: float = parameter(-0.05, -1.0, 1.0)
     level: float = parameter(0.1, -1.0, 1.0)
     change: float = parameter(0.01, -1.0, 1.0)
     process_sd: float = parameter(0.05, 0.01, 1.0)
     rating_sd: float = parameter(0.05, 0.01, 1.0)
 
-    def start(self, rating) -> Grid:
+    def start(self, rating, resolution: float = 0.0) -> Grid:
         """
         Return the belief after a first rating; uniform where there is none.
 
@@ -61,10 +71,12 @@ class GridTrust(TrustDynamics):
         ----------
         rating : array_like, shape (N,)
             Ratings, 0 to 1.
+        resolution : float
+            Step of the scale, 0 where nobody rounds.
         """
         rating = np.atleast_1d(rating)
         uniform = np.full((rating.size, BINS), 1.0 / BINS)
-        return self.learn(Grid(uniform, np.full(rating.size, np.nan)), rating)
+        return self.learn(Grid(uniform, np.full(rating.size, np.nan)), rating, resolution)
 
     def step(self, belief: Grid, event: Event) -> Grid:
         """
@@ -95,7 +107,7 @@ class GridTrust(TrustDynamics):
         total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
         return Grid(weights / total, p)
 
-    def learn(self, belief: Grid, rating) -> Grid:
+    def learn(self, belief: Grid, rating, resolution: float = 0.0) -> Grid:
         """
         Return the belief after a rating; unchanged where it is NaN.
 
@@ -105,15 +117,18 @@ class GridTrust(TrustDynamics):
             The belief before it.
         rating : array_like, shape (N,)
             Ratings, 0 to 1.
+        resolution : float
+            Step of the scale, 0 where nobody rounds.
         """
-        sd = columns(len(belief.weights), self.rating_sd)
-        error = (np.atleast_1d(rating)[:, None] - CENTRES) / sd
-        exponent = np.nan_to_num(-0.5 * np.square(error), nan=0.0)
+        rating = np.atleast_1d(rating)[:, None]
+        ends = cell(rating, resolution) if resolution else (rating - POINT, rating + POINT)
+        ratings = NormalRating(CENTRES, columns(len(belief.weights), self.rating_sd))
+        # What no bin explains says nothing.
+        mass = np.fmax(ratings.mass(*ends), 1e-300)
+        weights = belief.weights * np.where(np.isnan(rating), 1.0, mass)
         # Where every bin has lost its probability, so has the rating: NaN, which costs the most.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            logs = np.log(belief.weights) + exponent
-            weights = np.exp(logs - logs.max(axis=1, keepdims=True))
-        return Grid(weights / weights.sum(axis=1, keepdims=True), belief.before)
+        with np.errstate(invalid="ignore"):
+            return Grid(weights / weights.sum(axis=1, keepdims=True), belief.before)
 
     def rating(self, belief: Grid) -> GridRating:
         """
