@@ -256,7 +256,7 @@ def test_what_cannot_be_recovered_is_left_and_the_others_are(node, tmp_path, cap
     recover(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.jsonl", "b.csv", "b.mcap"]
     assert "a.jsonl: left as it is" in capsys.readouterr().out
-    with pytest.raises(SessionError, match=r"there is no .*c\.jsonl"):
+    with pytest.raises(SessionError, match=r"c\.jsonl: there is no file"):
         read_run(tmp_path / "c.jsonl")
     assert not (tmp_path / "c.jsonl").exists()
 

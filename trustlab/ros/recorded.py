@@ -89,9 +89,7 @@ def read_run(path: str | Path, run: RunSettings | None = None, own_rules: bool =
         rule.
     """
     path = Path(path)
-    if not path.is_file():
-        raise SessionError(f"there is no file {path}")
-    if path.suffix == LOG:
+    if path.suffix == LOG and path.is_file():
         return finish_run(path, run, own_rules)
     with source_named(str(path)):
         existing(path)
