@@ -125,9 +125,7 @@ def incentive_bounds(
     robot = of_class("model", model, TscModel).robot
     load = within_range("r", r, 0.0, 1.0)
     performance = within_range("p_r", p_r, robot.p_min, robot.p_max)
-    bounds = incentive_box(load, performance, positive("c_b", c_b), robot.p_min, robot.p_max)
-    # Thresholds may always be held; rounding must not exclude that.
-    return np.minimum(bounds[0], 0.0), np.maximum(bounds[1], 0.0)
+    return incentive_box(load, performance, positive("c_b", c_b), robot.p_min, robot.p_max)
 
 
 def within_range(name: str, values: Any, least: float, most: float) -> Any:

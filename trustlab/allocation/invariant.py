@@ -74,12 +74,10 @@ def overshoot(manual, low, high, threshold, c):
         step_high = abs(after_high - high)
         chord_low = (human_at(after_low, c) - human_at(low, c)) / step_low
         chord_high = (human_at(after_high, c) - human_at(high, c)) / step_high
-        shortest = min(step_low, step_high)
-        longest = max(step_low, step_high)
         chord_least = np.inf
         chord_most = -np.inf
         for chord in (chord_low, chord_high):
-            for length in (shortest, longest):
+            for length in (step_low, step_high):
                 chord_least = min(chord_least, chord * length)
                 chord_most = max(chord_most, chord * length)
         # Differences of neighbouring values cancel digits.
@@ -124,7 +122,7 @@ def propagate(manual, low, high, tsc_low, tsc_high, target, c, most, image):
         least_tsc = min(least_tsc, max(t_low, tsc_low) if n == 0 else t_low)
         most_tsc = max(most_tsc, min(t_high, tsc_high) if n == 0 else t_high)
         if n > 0:
-            if first < 0 and ((manual and t_high >= target) or (not manual and t_low <= target)):
+            if first < 0 and (t_high >= target if manual else t_low <= target):
                 first = n
                 before_low = last_low
                 before_high = last_high
@@ -133,7 +131,7 @@ def propagate(manual, low, high, tsc_low, tsc_high, target, c, most, image):
                 end_high = max(end_high, high)
                 before_low = min(before_low, last_low)
                 before_high = max(before_high, last_high)
-            if (manual and t_low >= target) or (not manual and t_high <= target):
+            if t_low >= target if manual else t_high <= target:
                 over = overshoot(manual, before_low, before_high, target, c)
                 over = max(image.overshoot, over)
                 dwells = min(image.dwell_low, first), max(image.dwell_high, n)
