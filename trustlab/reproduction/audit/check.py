@@ -113,7 +113,7 @@ class Values:
     def __getattr__(self, symbol: str) -> Any:
         """Return the value of a symbol, or the values of the numbers that it stands for."""
         if symbol == "k":
-            return studies()[self._folder].k
+            return len(studies()[self._folder].conditions)
         named = self._where(symbol)
         if not named:
             raise NotPrintedError(symbol)
