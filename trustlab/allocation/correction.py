@@ -425,6 +425,7 @@ class ThresholdCorrector:
             raise ValueError(f'{", ".join(given)} would do nothing without engine="casadi"')
         self._problem = tsc.constants(), self.c_b, np.array(self.target)
         self._clipped = np.full((2, self.horizon), np.nan)
+        self._empty = np.full((7, self.horizon + 1), np.nan)
         if incentive is incentive_box:
             # numba would look for it by the types of all arguments at every step
             state = np.zeros(2), 1, self._clipped, np.zeros((7, 2))
@@ -505,7 +506,7 @@ class ThresholdCorrector:
         given : numpy.ndarray, shape (2, N)
             Corrections c_l and c_u, contiguous; NaN for clipped ones.
         """
-        path = np.full((7, self.horizon + 1), np.nan)
+        path = self._empty.copy()
         path[:4, 0] = state
         return *self._follow(*self._problem, state[2:], mode, given, path), path
 

@@ -134,6 +134,8 @@ def whole_number(name: str, value: Any, least: int = 1, most: int | None = None)
     Return a whole number from `least` to `most` as an int; a float counts where it is whole and
     below 2⁵³.
     """
+    if type(value) is int and least <= value <= (value if most is None else most):
+        return value  # nearly always; the rest takes longer
     if isinstance(value, np.ndarray):
         value = value[()]
     whole = not isinstance(value, bool | np.bool_) and (
