@@ -2,6 +2,7 @@
 Correction of thresholds: clipping written out, random plans, and properties of (2.40)-(2.44).
 """
 
+import pickle
 import warnings
 
 import numpy as np
@@ -211,9 +212,11 @@ def test_bad_input_is_refused_and_rounding_of_performance_forgiven():
     assert engine.step(np.float64(0.5), np.float32(0.3), 0.0, 0.35, np.int64(1)).path[4, 0] == 1.0
 
 
-def test_plans_do_not_share_memory():
+def test_plans_do_not_share_memory_and_go_to_other_processes():
     engine = corrector(horizon=10)
     first = engine.step(0.5, 0.3, *START)
+    elsewhere = pickle.loads(pickle.dumps(engine)).step(0.5, 0.3, *START)
+    np.testing.assert_array_equal(elsewhere.path, first.path)
     path = first.path.copy()
     engine.step(0.9, 0.38, *START)
     np.testing.assert_array_equal(first.path, path)

@@ -157,9 +157,9 @@ def test_a_table_over_draws_is_of_each_of_them(clear):
 
 def test_a_choice_of_no_single_model_has_no_single_motion(clear):
     choice = tl.choose_thresholds(clear)
-    with pytest.raises(ValueError, match=r"see its table\(\).*one of its models"):
+    with pytest.raises(AttributeError, match=r"has a table\(\).*one of the posterior's models"):
         _ = choice.cycle
-    with pytest.raises(ValueError, match="there are no thresholds: no room"):
+    with pytest.raises(AttributeError, match="there are no thresholds: no room"):
         _ = replace(choice, lower=np.nan, upper=np.nan, reason="no room").bounds
 
 

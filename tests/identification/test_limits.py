@@ -76,9 +76,16 @@ def test_an_operator_who_is_not_determined_is_named_in_the_fit_of_the_robot():
     assert not any(name.startswith("human") for name in fit.table().index)
 
 
+def test_rounding_to_zero_is_no_error_of_the_user():
+    short = session().between(0.0, 300.0)
+    with np.errstate(all="raise"):
+        assert tl.fit_tsc(short).degrees_of_freedom > 0.0
+        assert len(tl.sample_posterior(short, n=100)) == 100
+
+
 def test_a_robot_that_is_better_alone_contradicts_the_model():
     clean = session(noise=0.001)
-    with pytest.raises(IdentificationError, match="does not rise under manual control"):
+    with pytest.raises(IdentificationError, match=r"does not rise .* \(is mode 1 there\?\)"):
         tl.fit_robot(clean.with_columns(p_r=0.7 - clean["p_r"]))
 
 

@@ -103,6 +103,10 @@ def test_logs_lie_under_the_users_state_folder(tmp_path, monkeypatch):
     assert tl.LiveTeam("by_hand", seed=1, participant="you").path != first.path
     heard(first, end=True)
     assert tl.LiveTeam("by_hand", seed=1).path == first.path.replace("-1.jsonl", "-2.jsonl")
+    monkeypatch.setenv("XDG_STATE_HOME", first.path)
+    for log in (None, tmp_path / f"{'long' * 99}.jsonl"):
+        with pytest.raises(ValueError, match=r"cannot write .*\.jsonl: .*give a folder"):
+            tl.LiveTeam("by_hand", seed=1, log=log)
 
 
 class Late:

@@ -326,9 +326,11 @@ def closed():
 
 
 def test_axes_of_another_number_are_refused():
-    for axes in (plt.subplots()[1], plt.subplots(3)[1]):
+    for axes in (plt.subplots()[1], plt.subplots(3)[1], "xy", ["x", "y"]):
         with pytest.raises(ValueError, match="axes must be 2 in number, got"):
             plot_energies(RUNS[0], axes)
+    alone = plt.subplots(squeeze=False)[1]
+    assert STUDIES["main"].plot_scales(alone) is alone[0, 0]
 
 
 def test_measures_are_those_of_the_log():

@@ -426,12 +426,23 @@ class ThresholdCorrector:
         self._problem = tsc.constants(), self.c_b, np.array(self.target)
         self._clipped = np.full((2, self.horizon), np.nan)
         self._empty = np.full((7, self.horizon + 1), np.nan)
-        if incentive is incentive_box:
+        self._find_follow()
+
+    def _find_follow(self) -> None:
+        if self.incentive is incentive_box:
             # numba would look for it by the types of all arguments at every step
             state = np.zeros(2), 1, self._clipped, np.zeros((7, 2))
             self._follow: Callable = compiled_for(follow, *self._problem, *state)
         else:
-            self._follow = partial(follow_with.py_func, incentive, False)
+            self._follow = partial(follow_with.py_func, self.incentive, False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Compiled functions go to no other process.
+        return {name: value for name, value in vars(self).items() if name != "_follow"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._find_follow()
 
     def step(
         self, r: float, p_r: float, lower: float, upper: float, mode: int = 1

@@ -127,10 +127,15 @@ class ThresholdChoice(Result):
         return invariant_bounds(self._model(), self.lower, self.upper)
 
     def _model(self) -> TscModel:
+        # Errors of attributes: who lists an object's members passes over them.
         if np.isnan(self.lower):
-            raise ValueError(f"there are no thresholds: {self.reason}")
-        remedy = "of a posterior see its table(), or limit_cycle of one of its models"
-        return of_class("tsc", self.tsc, TscModel, remedy)
+            raise AttributeError(f"there are no thresholds: {self.reason}")
+        if not isinstance(self.tsc, TscModel):
+            raise AttributeError(
+                "a choice from a posterior has a table(); limit_cycle and invariant_bounds take "
+                "one of the posterior's models"
+            )
+        return self.tsc
 
     def table(self) -> pd.DataFrame:
         """

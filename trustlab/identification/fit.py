@@ -76,6 +76,7 @@ CERTAIN = 3.3
 STRETCHES = 200
 
 
+@np.errstate(under="ignore")
 def fit(
     model: Model,
     sessions: Session | Iterable[Session],

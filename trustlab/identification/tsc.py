@@ -120,7 +120,9 @@ def _human_of(names: Mapping[str, str], values: Mapping[str, float]) -> HumanMod
 
 
 def _robot_of(names: Mapping[str, str], values: Mapping[str, float]) -> RobotModel:
-    words = "robot performance does not rise under manual control, as (2.3) has it,"
+    words = (
+        "robot performance does not rise under manual control (is mode 1 there?), as (2.3) has it,"
+    )
     return _made(RobotModel, words, names, values)
 
 

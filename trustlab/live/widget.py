@@ -24,7 +24,7 @@ from trustlab.live.trial import Trial, read_record
 from trustlab.models.checks import check_participant, of_class, one_of, whole_number
 from trustlab.models.digest import digest
 from trustlab.models.extras import extra
-from trustlab.models.files import path_of
+from trustlab.models.files import path_of, writing
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.settings import (
@@ -120,24 +120,29 @@ class LiveWidget(anywidget.AnyWidget):
         settings = json.loads(json.dumps(settings))  # as it will be read again
         path = path_of("log", place_of(settings, self.participant) if log is None else log)
         path = path.absolute()
+        with writing(path):
+            self.trial = self._trial(path, task, settings)
+        super().__init__(words=read_words(language), path=str(path))
+        self.on_msg(self._answer)
+
+    def _trial(self, path: Path, task: LiveTask, settings: dict) -> Trial:
+        """Return the trial of a log, which goes on where a cell is run again."""
         if path.is_dir():
             raise ValueError(f"log must be a file, and {path} is a folder")
         path.parent.mkdir(parents=True, exist_ok=True)
         if not goes_on(path, settings, self.participant):
             raise ValueError(f"{path} holds another run, or one that is over; name another log")
-        # A cell that is run again shows the run that goes on.
-        self.trial = self.trials.get(path)
-        if self.trial is None:
+        trial = self.trials.get(path)
+        if trial is None:
             prepare(task, settings)
             try:
-                self.trial = Trial(path, task, settings, participant=self.participant)
+                trial = Trial(path, task, settings, participant=self.participant)
             except LogError as error:
                 raise ValueError(
                     f"{error}; shut the other kernel down, or name another log: log='….jsonl'"
                 ) from error
-            self.trials[path] = self.trial
-        super().__init__(words=read_words(language), path=str(path))
-        self.on_msg(self._answer)
+            self.trials[path] = trial
+        return trial
 
     def _answer(self, _widget: Any, message: dict, _buffers: Any) -> None:
         try:
@@ -180,7 +185,7 @@ class LiveGroundRobot(LiveWidget):
         Who allocates.
     model : TscModel
         What TSC (2.1) and suggestions come from: of the person, for example
-        `fit_tsc(session).model`.
+        `fit_tsc(session).model` of a log with a sample time of 0.1 s.
     thresholds : (float, float), optional
         TSC_l and TSC_u of (2.8), in C2, C3 and conditions of your own with suggestions by TSC only.
     laps : int

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from trustlab.models.checks import shown
+
 # Rows of a table that a result shows of itself; `table()` returns all. A single row with more
 # columns than a page is wide stands upright.
 MOST_ROWS = 60
@@ -72,9 +74,10 @@ def axes_or_new(
     options are those of `plt.subplots`. Axes of another number are refused.
     """
     if axes is not None:
-        if np.size(axes) != rows * columns:
-            raise ValueError(f"axes must be {rows * columns} in number, got {np.size(axes)}")
-        return axes
+        given = [each for each in np.ravel(axes) if hasattr(each, "plot")]
+        if not len(given) == np.size(axes) == rows * columns:
+            raise ValueError(f"axes must be {rows * columns} in number, got {shown(axes)}")
+        return given[0] if len(given) == 1 else axes
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(rows, columns, layout="constrained", **options)

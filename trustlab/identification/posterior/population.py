@@ -240,6 +240,7 @@ class Population(Result):
         return " ".join(sentences)
 
 
+@np.errstate(under="ignore")
 def fit_population(
     people: Mapping[str | int, Session | Iterable[Session]],
     prior: str | Prior = "weak",

@@ -382,6 +382,7 @@ def _autocorrelation_time(chains: np.ndarray) -> float:
 # --- sample_posterior ----------------------------------------------------------------------------
 
 
+@np.errstate(under="ignore")
 def sample_posterior(
     sessions: Session | Iterable[Session],
     prior: str | Prior = "weak",

@@ -121,7 +121,7 @@ class DriveSettings(Checked):
         Mode (1 manual, 0 autonomous) and length [s] of each phase of the identification drive.
     model : TscModel, optional
         What stands in for a participant's own model where the identification drive does not
-        determine it; that of the printed participant 2 by default.
+        determine it; its samples are 0.1 s. That of the printed participant 2 by default.
     thresholds : (float, float), optional
         TSC_l and TSC_u that go with `model`; those of Table 2.2 by default.
     course : Course, optional
