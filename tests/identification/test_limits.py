@@ -7,10 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import trustlab as tl
 from tests.identification.cases import PILOT, SWITCHING, log, scores, session, truth
-from trustlab.identification import ROBOT, IdentificationError
+from trustlab.identification import HUMAN, ROBOT, IdentificationError
 
 ROBOTS_FITS = pytest.mark.parametrize("fit", [tl.fit_robot, tl.fit_tsc])
 
@@ -246,3 +247,20 @@ def test_noise_and_robust_act_on_the_operator_of_fit_robot():
         joint = tl.fit_tsc(noisy, noise=noise).table().loc["human_p_max", "stderr"]
         assert errors[noise] == pytest.approx(joint, rel=1e-6)
     assert errors["white"] != errors["hac"]
+
+
+def test_a_message_has_the_intervals_of_its_table():
+    """Slow noise leaves few degrees of freedom, where t intervals are far wider than ±1.96."""
+    slow = lfilter([0.001], [1.0, -0.99], np.random.default_rng(1).standard_normal(3000))
+    short = session(SWITCHING[:3000])
+    fit = tl.fit_human(short.with_columns(p_h=short["p_h"] + slow), noise="correlated")
+    weak = fit.table().query("status == 'weak'")
+    assert fit.degrees_of_freedom < 20
+    assert len(weak)
+    for row in weak.itertuples():
+        assert f"({row.value:.4g} ± {row.ci_high - row.value:.2g})" in fit.message
+
+
+def test_a_range_that_is_open_at_one_end_is_no_measure_of_the_other():
+    values = {"a": 0.99, "beta": 0.7, "p_min": -1588.0, "p_max": 1.5}
+    assert HUMAN.useful(values)["p_max"] == 0.75

@@ -35,7 +35,6 @@ from trustlab.identification.log import (
 )
 from trustlab.identification.model import IdentificationError, Model
 from trustlab.identification.noise import (
-    HALF_WIDTH,
     NOT_WHITE,
     Noise,
     hac_lags,
@@ -53,7 +52,7 @@ from trustlab.identification.problem import (
     rough_optima,
     search,
 )
-from trustlab.identification.result import FitResult, RunFit
+from trustlab.identification.result import FitResult, RunFit, with_intervals
 from trustlab.models.checks import counted, of_class, one_of
 from trustlab.sessions.session import Session
 
@@ -375,7 +374,7 @@ def result_of(estimate: Estimate) -> FitResult:
     problem, optimum = estimate.problem, estimate.optimum
     model, shared = problem.model, len(problem.model.names)
     table, covariance = estimate_table(estimate)
-    marks = list(_mark(table, model))
+    marks = list(_mark(estimate, table))
     doubts = (_coarse, _delay_warning, _slow, _rivals)
     exact = problem.exact(optimum.x).any()
     reasons = [] if exact else [text for doubt in doubts for text in doubt(estimate)]
@@ -454,11 +453,13 @@ def _with_slopes(function: Callable, names: tuple, values: np.ndarray) -> tuple:
     return float(value), np.imag(others) / 1e-100
 
 
-def _mark(table: pd.DataFrame, model: Model) -> Iterator[str]:
+def _mark(estimate: Estimate, table: pd.DataFrame) -> Iterator[str]:
     """Mark names with a 95 % interval too wide to be of use, and say what would help."""
-    useful = model.useful(table["value"].to_dict())
-    for name, value, stderr, status, _ in table.head(len(model.names)).itertuples():
-        half = HALF_WIDTH * stderr
+    model = estimate.problem.model
+    rows = with_intervals(table.head(len(model.names)), 0.95, estimate.degrees_of_freedom)
+    useful = model.useful(rows["value"].to_dict())
+    columns = rows["value"], rows["ci_high"] - rows["value"], rows["status"]
+    for name, value, half, status in zip(rows.index, *columns, strict=True):
         if status == "at bound":
             yield (
                 f"{name} is at its bound, {value:.6g}: the fit is better beyond it, or "

@@ -280,9 +280,10 @@ def _half_ranges(*ranges: tuple[str, str]) -> Callable:
     """Return the function that says how wide half a useful interval of performances may be."""
 
     def size(values: Mapping[str, float]) -> dict[str, float]:
-        # A limit counts as determined if its half-width is below half the range.
+        # A limit counts as determined if its half-width is below half the range, and half the
+        # greatest performance: a range whose one end is open is no measure of the other.
         return {
-            name: 0.5 * abs(values[high] - values[low])
+            name: 0.5 * min(abs(values[high] - values[low]), abs(values[high]))
             for low, high in ranges
             for name in (low, high)
         }
