@@ -16,7 +16,7 @@ import pandas as pd
 from trustlab.models.files import path_of, writing
 from trustlab.sessions.columns import BLANKS
 from trustlab.sessions.errors import SessionError, damage_named, source_named
-from trustlab.sessions.reading import existing
+from trustlab.sessions.reading import existing, likely_unit
 from trustlab.sessions.recipe import NUMBER
 from trustlab.sessions.tables import HEAD, TEXTS, suffix_of
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY
@@ -43,7 +43,6 @@ MANUAL = r"(?i)(manu\w+|human|mensch|person|op(erator)?|user|teleop\w*|hand)"
 AUTONOMOUS = r"(?i)(auto\w*|robot\w*|machine|controller)"
 # Answers, of which the column's name is the question.
 YES, NO = r"(?i)on|true|yes|1(\.0)?", r"(?i)off|false|no|0(\.0)?"
-STEPS = {"s": 5.0, "ms": 5e3, "us": 5e6}  # the longest step between rows that looks like the unit
 
 
 def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) -> Path:
@@ -254,7 +253,7 @@ def _time_unit(name: Any, values: pd.Series) -> tuple[str, str]:
         return unit, ""
     if _is_number(values):
         step = float(values.diff().abs().median())
-        unit = next((unit for unit, longest in STEPS.items() if step <= longest), "ns")
+        unit = likely_unit(values.iloc[0], step)
         return unit, f"   # guessed: rows are {step:.4g} apart"
     first = str(values.iloc[0]).strip()
     if re.match(r"\d{1,2}:\d{2}:\d{2}", first):
