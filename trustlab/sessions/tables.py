@@ -122,7 +122,7 @@ def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[st
         names = [name.strip() for name in next(rows, [])]
         places = positions(chosen, names, layout.header)
     except (SessionError, csv.Error) as error:
-        _refuse_encoding(source, layout.encoding)
+        refuse_encoding(source, layout.encoding)
         fault = _layout_fault(names, layout) or error
         raise SessionError(f"line {before + 1}: {fault}") from error
     before += rows.line_num * layout.header  # a name may have a line break
@@ -204,7 +204,7 @@ def _parsed(
             fault = str(error)
             if "Empty CSV" in fault or "Could not skip" in fault:
                 return pd.DataFrame(columns=list(places))
-            _refuse_encoding(source, layout.encoding)
+            refuse_encoding(source, layout.encoding)
             raise SessionError(_ragged(fault)) from error
 
     frame = table.to_pandas()
@@ -223,7 +223,7 @@ def _ragged(fault: str) -> str:
     return f"line {line}: has {cells} cells, but the first line has {width}; {hint}"
 
 
-def _refuse_encoding(source: bytes | Path, encoding: str) -> None:
+def refuse_encoding(source: bytes | Path, encoding: str) -> None:
     """Raise where a text has bytes that its encoding has not."""
     content = _opened(source).read()
     if b"\0" in content[:HEAD]:
