@@ -137,7 +137,12 @@ participant = { from = "participant" }"""
     assert dict(session.metadata.more) == {}
     with pytest.raises(SessionError, match=r"no participant, .*; .* read_frame\(…"):
         read_frame(frame, table_recipe(text))
-    assert read_frame(frame.rename(columns={"a": "p_r"}), participant=3).label == "participant 3"
+    plain = frame.rename(columns={"a": "p_r"})
+    assert read_frame(plain, participant=3).label == "participant 3"
+    assert read_frame(plain, resampled="by hand", part=2).metadata.more["part"] == 2
+    for name in ("resmaple", "sampel_time", "delimiter"):
+        with pytest.raises(ValueError, match=f"'{name}' looks like the argument '.*', not like"):
+            read_frame(plain, **{name: 1})
 
 
 @pytest.mark.parametrize("name", ["mode", "suggested_mode", "yaw"])

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, get_args
 
@@ -144,8 +145,8 @@ def read_frame(
     sample_time : float, optional
         Time between samples [s] after resampling.
     **metadata : object
-        participant, condition or any other name. Where the recipe takes metadata from the path of a
-        file, they stand for the fields of its pattern.
+        participant, condition or any other name, but none close to an argument. Where the recipe
+        takes metadata from the path of a file, they stand for the fields of its pattern.
 
     Raises
     ------
@@ -384,6 +385,13 @@ class Reader:
             table = frame_table(frame, self._chosen(), self.layout)
             sessions = self._of_table(table, "data frame", metadata)
         more = {name: value for name, value in metadata.items() if name not in fields}
+        arguments = {*read_session.__annotations__, *read_frame.__annotations__}
+        for name in more:
+            # "resampled" is what reading itself notes.
+            close = get_close_matches(name, {*arguments, "resampled"}, n=1, cutoff=0.85)
+            if arguments & {*close}:
+                fault = f"{name!r} looks like the argument {close[0]!r}, not like metadata"
+                raise ValueError(f"{fault}; correct it, or use another name")
         return [session.with_metadata(**more) for session in sessions] if more else sessions
 
     def _check_kind(self, kind: str) -> None:
