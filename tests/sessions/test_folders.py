@@ -4,6 +4,7 @@ import pytest
 
 from tests.sessions.logs import table_recipe
 from trustlab.sessions import SessionError, read_session, read_sessions
+from trustlab.sessions.folders import logs_in
 
 TABLE = "t,a\n0,0.5\n1,0.5\n"
 COLUMNS = '[columns]\np_r = { column = "a" }\n'
@@ -115,9 +116,14 @@ def test_files_being_written_and_loops_are_no_sessions(tmp_path):
     (tmp_path / "run2.csv").write_text(TABLE)
     (tmp_path / "run3.csv.partial-1").write_text("t,a\n0,")
     (tmp_path / "loop").symlink_to(tmp_path, target_is_directory=True)
-    recipe = table_recipe(f'[files]\npattern = "run{{k:int}}.csv*"\n{COLUMNS}')
+    (tmp_path / ".ipynb_checkpoints").mkdir()  # of JupyterLab, macOS and Excel
+    (tmp_path / ".ipynb_checkpoints" / "run4.csv").write_text(TABLE)
+    for name in ("._run5.csv", "~$run6.csv"):
+        (tmp_path / name).write_bytes(b"\0")
+    recipe = table_recipe(f'[files]\npattern = "*run{{k:int}}.csv*"\n{COLUMNS}')
     sources = [each.metadata.source for each in read_sessions(tmp_path, recipe)]
     assert sources == [str(tmp_path / "run2.csv")]
+    assert logs_in(str(tmp_path)) == sources
     (tmp_path / "run4.csv").symlink_to(tmp_path / "run4.csv")
     with pytest.raises(SessionError, match=r"run4\.csv: there is no file at this path"):
         read_sessions(tmp_path, recipe)

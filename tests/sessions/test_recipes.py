@@ -137,7 +137,12 @@ participant = { from = "participant" }"""
     assert dict(session.metadata.more) == {}
     with pytest.raises(SessionError, match=r"no participant, .*; .* read_frame\(…"):
         read_frame(frame, table_recipe(text))
-    assert read_frame(frame.rename(columns={"a": "p_r"}), participant=3).label == "participant 3"
+    plain = frame.rename(columns={"a": "p_r"})
+    assert read_frame(plain, participant=3).label == "participant 3"
+    assert read_frame(plain, resampled="by hand", part=2).metadata.more["part"] == 2
+    for name in ("resmaple", "sampel_time", "delimiter"):
+        with pytest.raises(ValueError, match=f"'{name}' looks like the argument '.*', not like"):
+            read_frame(plain, **{name: 1})
 
 
 @pytest.mark.parametrize("name", ["mode", "suggested_mode", "yaw"])
@@ -262,6 +267,14 @@ def test_on_and_off_mean_what_their_column_is_called(drafted, name, on, off, man
     assert session["mode"].tolist() == [float(word == manual) for word in (off, off, on, on)]
 
 
+@pytest.mark.parametrize(("name", "manual"), [("mode", [0.25, 1.0]), ("autonomy", [0.75, 0.0])])
+def test_shares_of_control_need_no_map(drafted, name, manual):
+    """Ten values got one with "?", and the eleventh had none. Excel's first line is skipped."""
+    rows = "".join(f"{k / 10};{k % 37 / 40 + 0.1:g}\n" for k in range(50))
+    _, session = drafted(f"sep=;\nt;{name}\n-0.2;0.25\n-0.1;1\n{rows}")
+    assert session["mode"][:2].tolist() == manual
+
+
 def test_on_and_off_of_a_column_that_names_no_driver_are_asked_for(tmp_path):
     (tmp_path / "run.csv").write_text("t,mode\n0,on\n0.1,off\n")
     draft = tl.draft_recipe(tmp_path / "run.csv", tmp_path / "lab.toml").read_text()
@@ -287,7 +300,13 @@ def test_what_a_draft_leaves_out_reading_asks_for(drafted, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "content"), [("a.bag", b"x"), ("a.csv", b""), ("a.parquet", b"no")]
+    ("name", "content"),
+    [
+        ("a.bag", b"x"),
+        ("a.csv", b""),
+        ("a.csv", "t;m\n0;1\n".encode("utf-16")),
+        ("a.parquet", b"no"),
+    ],
 )
 def test_files_that_are_no_tables(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)

@@ -54,6 +54,12 @@ LOGS = {
         ["line 2, column 'p_r': '0,5' is not a number", 'decimal=",", or set it in a recipe'],
         '[table]\ndelimiter = ";"\ndecimal = ","\n' + PLAIN,
     ),
+    "commas of two meanings": (
+        't,p_r\n0,"0,5"\n1,1\n',
+        '[table]\ndecimal = ","\n' + PLAIN,
+        ["decimal and delimiter of a table must differ, both are ','"],
+        None,
+    ),
     "words": (
         "t,m\n0,on\n1,off\n",
         '[columns]\nmode = { column = "m" }',
@@ -80,6 +86,18 @@ LOGS = {
         "t,p_r\n0,1\nsoon,1\n",
         '[time]\nunit = "iso"\n' + PLAIN,
         ["line 2, column t: '0' is not a time such as 2026-03-01T12:00:00; or give seconds"],
+        None,
+    ),
+    "zones": (
+        "t,p_r\n2026-10-25T02:59:59.9+01:00,1\n2026-10-25T03:00:00,1\n",
+        '[time]\nunit = "iso"\n' + PLAIN,
+        ["line 3, column t: '2026-10-25T03:00:00' is not a time such as the first: all have a"],
+        None,
+    ),
+    "minutes": (
+        "t,p_r\n12:59:61,1\n13:00:02,1\n",
+        '[time]\nunit = "clock"\n' + PLAIN,
+        ["line 2, column t: '12:59:61' is not a time such as 12:00:00.5"],
         None,
     ),
     "repeats": (
@@ -119,6 +137,12 @@ LOGS = {
         ["line 1: found a comment instead of the names; skip it with [table] skip_lines"],
         "[table]\nskip_lines = 1\n" + PLAIN,
     ),
+    "excel": (
+        "sep=;\nt;p_r\n0;1\n1;1\n",
+        '[table]\ndelimiter = ";"\n' + PLAIN,
+        ["line 1: found a comment instead of the names; skip it with [table] skip_lines"],
+        '[table]\ndelimiter = ";"\nskip_lines = 1\n' + PLAIN,
+    ),
     "metadata": ("# trustlab {broken\n" + GOOD, None, ["the trustlab metadata are damaged"], None),
 }
 
@@ -155,7 +179,11 @@ RECIPES = [
     ('value = "north"', 'value = "north", from = "who"', "site: needs either from or value"),
     ("{ trial = ", "{ trail = ", "[header]: 'trail' is no field of the files pattern; did you"),
     ("p{who}/runs", "../runs", "leads from a folder down, so that it has no . or .. in it"),
-    ('delimiter = ";"\n', "", "[table]: decimal and delimiter must differ, both are ','"),
+    (
+        'delimiter = ";"',
+        'delimiter = ","',
+        "decimal and delimiter of a table must differ, both are ','",
+    ),
     ("from_zero", 'sort = true\njumps = "split"\nfrom_zero', "[time]: sort orders all rows"),
     ("[time]", "[time", "not a TOML file"),
     ("site =", "source =", "[metadata] source: this name is taken; choose another"),

@@ -124,6 +124,25 @@ def test_a_cell_that_is_no_number_is_named_by_line_and_column(tmp_path_factory, 
         read_session(path)
 
 
+def test_names_over_two_lines_and_commas_between_tabs(read):
+    session = read(
+        '"t\n[s]"\t"p_r"\n0\t0,5\n1\t0,25\n',
+        """
+[table]
+decimal = ","
+[time]
+column = "t\\n[s]"
+unit = "s"
+[columns]
+p_r = { column = "p_r" }
+""",
+        name="run.tsv",
+    )
+    assert session["p_r"].tolist() == [0.5, 0.25]
+    with pytest.raises(SessionError, match="line 4, column t"):
+        read('"t","p\n_r"\n0,1\nx,1\n', '[columns]\np_r = { column = "p\\n_r" }')
+
+
 def test_a_last_line_that_was_cut_is_noted_and_warned_of(read):
     with pytest.warns(UserWarning, match=r"run\.csv: the last line has no end; .* cut short"):
         session = read("t,p_r\n0,0.31\n1,0.32\n2,0.3")

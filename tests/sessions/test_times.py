@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tests.sessions.logs import table_recipe
-from trustlab.sessions import SessionError, read_frame, read_sessions
+from trustlab.sessions import SessionError, draft_recipe, read_frame, read_sessions
 
 PLAIN = '[columns]\np_r = { column = "a" }\n'
+RULE = '[columns]\np_r = { column = "p_r" }\n'
 ZERO = f'[time]\nunit = "UNIT"\nfrom_zero = true\n{PLAIN}'
 RESAMPLED = '[resampling]\nmethod = "{}"\nsample_time = {}\n'
 
@@ -24,7 +25,10 @@ RESAMPLED = '[resampling]\nmethod = "{}"\nsample_time = {}\n'
 @pytest.mark.parametrize(
     ("unit", "times"),
     [
-        ("iso", ["2026-02-28 23:59:59.9Z", "2026-03-01T01:00:00,4+01:00", "2026-03-01T00:00:00.9"]),
+        (
+            "iso",
+            ["2026-02-28 23:59:59.9Z", "2026-03-01T01:00:00,4+01:00", "2026-03-01T00:00:00.9Z"],
+        ),
         ("clock", [" 12:00:00,5", "12:00:01 ", "12:00:01.500"]),
         ("clock", ["23:59:59.5", "00:00:00", "0:00:00.5"]),  # after midnight
         ("us", [7, 500_007, 1_000_007]),
@@ -296,10 +300,10 @@ def test_no_robot_and_no_choice_lies_between_two_others(name):
 @pytest.mark.parametrize(
     ("step", "value", "words", "remedy"),
     [
-        (9.99, 10, None, ""),
-        (100, 1, 'samples are 100 s apart; .* unit = "ms"', "ms"),
-        (1e5, 1, 'samples are 100000 s apart; .* unit = "us"', "us"),
-        (1e8, 1, 'samples are 1e[+]08 s apart; .* unit = "ns"', "ns"),
+        (4.99, 10, None, ""),
+        (100, 1, 'samples are 100 s apart, .* unit = "ms"', "ms"),
+        (1e5, 1, 'samples are 100000 s apart, .* unit = "us"', "us"),
+        (1e8, 1, 'samples are 1e[+]08 s apart, .* unit = "ns"', "ns"),
         (1, -0.1, "column p_r has negative values.*offset", "offset = 0.1"),
         (1, 35, 'column p_r goes beyond 10, .*unit = "%"', 'unit = "%"'),
     ],
@@ -318,3 +322,22 @@ def test_values_hardly_meant_are_told_once_and_the_remedy_works(
     session = read(rows, unit + PLAIN.replace('"a"', f'"a", {remedy}' if "=" in remedy else '"a"'))
     assert not recwarn.list
     assert session["p_r"][0] == pytest.approx({-0.1: 0.0, 35: 0.35}.get(value, value))
+
+
+@pytest.mark.parametrize("rate", [1, 200, 1000])
+@pytest.mark.parametrize(("unit", "size"), [("s", 1), ("ms", 10**3), ("us", 10**6), ("ns", 10**9)])
+def test_stamps_since_1970_tell_their_unit(read, recwarn, tmp_path, unit, size, rate):
+    """At 200 Hz milliseconds passed for seconds, and nanoseconds for microseconds in a draft."""
+    stamps = [size * (1_700_000_000 + k / rate) for k in range(9)]
+    rows = "".join(f"{stamp:.{3 if size == 1 else 0}f},1\n" for stamp in stamps)
+    read("t,p_r\n" + rows)
+    told = [str(each.message) for each in recwarn]
+    assert [f'[time] unit = "{unit}"' in words for words in told] == [True] * (unit != "s")
+    draft = draft_recipe(tmp_path / "run.csv", tmp_path / "lab.toml").read_text()
+    assert f'\nunit = "{unit}"   # guessed' in draft
+    recwarn.clear()
+    read("t,p_r\n" + rows, f'[time]\nunit = "{unit}"\nfrom_zero = true\n' + RULE)
+    assert not recwarn.list
+    if unit == "ns":  # a thousand times too long by such a recipe
+        read("t,p_r\n" + rows, '[time]\nunit = "us"\nfrom_zero = true\n' + RULE)
+        assert '[time] unit = "ns"' in str(recwarn.list[0].message)

@@ -90,6 +90,16 @@ def test_others_read_what_is_written(tmp_path, name):
         assert columns == {f"/trustlab/{column}": expected[column].tolist() for column in expected}
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_a_table_that_was_spoiled_is_not_written(tmp_path, name):
+    """It was, and could not be read."""
+    spoiled = session()
+    spoiled.data["note"] = "x"
+    with pytest.raises(SessionError, match="column 'note' is not in the vocabulary"):
+        write_session(spoiled, tmp_path / name)
+    assert os.listdir(tmp_path) == []
+
+
 def test_a_bag_that_lost_samples_is_noticed(tmp_path, monkeypatch):
     to_json = tl.sessions.session.metadata_to_json
     doubled = lambda metadata, samples: to_json(metadata, samples=2 * samples)  # noqa: E731

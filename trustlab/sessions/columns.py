@@ -199,6 +199,8 @@ def _dates(table: Table) -> np.ndarray:
     texts = table.frame["t"]
     if texts.dtype.kind != "M":
         texts = texts.astype("str").str.strip().str.replace(",", ".")
+        zoned = texts.str.contains(r"[zZ]$|:.*[+-]\d\d")
+        _check_times(table, zoned != zoned.iloc[0], "the first: all have a time zone, or none")
     stamps = pd.to_datetime(texts, format="ISO8601", utc=True, errors="coerce")
     known = stamps.dt.year.between(1700, 2200)  # what nanoseconds in 64 bits can hold
     _check_times(table, ~known, "2026-03-01T12:00:00; or give seconds")
@@ -207,7 +209,7 @@ def _dates(table: Table) -> np.ndarray:
 
 def _times_of_day(table: Table) -> np.ndarray:
     """Return times of the day as seconds since the first midnight."""
-    pattern = r"^\s*(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d{1,12})?)\s*$"
+    pattern = r"^\s*(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d{1,12})?)\s*$"
     parts = table.frame["t"].astype("str").str.extract(pattern, flags=re.ASCII)
     _check_times(table, parts[0].isna(), "12:00:00.5")
     parts[2] = parts[2].str.replace(",", ".")

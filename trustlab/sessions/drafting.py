@@ -16,9 +16,9 @@ import pandas as pd
 from trustlab.models.files import path_of, writing
 from trustlab.sessions.columns import BLANKS
 from trustlab.sessions.errors import SessionError, damage_named, source_named
-from trustlab.sessions.reading import existing
+from trustlab.sessions.reading import existing, likely_unit
 from trustlab.sessions.recipe import NUMBER
-from trustlab.sessions.tables import HEAD, TEXTS, suffix_of
+from trustlab.sessions.tables import COMMENTS, HEAD, TEXTS, refuse_encoding, suffix_of
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY
 
 TIME = r"t|(time|stamp|timestamp|secs?|clock|zeit\w*)\b.*|.*_?time(stamp)?"
@@ -43,7 +43,6 @@ MANUAL = r"(?i)(manu\w+|human|mensch|person|op(erator)?|user|teleop\w*|hand)"
 AUTONOMOUS = r"(?i)(auto\w*|robot\w*|machine|controller)"
 # Answers, of which the column's name is the question.
 YES, NO = r"(?i)on|true|yes|1(\.0)?", r"(?i)off|false|no|0(\.0)?"
-STEPS = {"s": 5.0, "ms": 5e3, "us": 5e6}  # the longest step between rows that looks like the unit
 
 
 def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) -> Path:
@@ -110,12 +109,13 @@ def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
     """Return the lines of [table] that read a text table, and its first rows."""
     with (gzip.open if path.suffix.lower() == ".gz" else open)(path, "rb") as file:
         head = file.read(HEAD) + file.readline(HEAD)
+    refuse_encoding(head, "latin-1")  # what holds no text: that encoding has every byte
     try:
         encoding, text = "utf-8", head.decode("utf-8-sig")
     except UnicodeDecodeError:  # the text of Windows has a letter for almost every byte
         encoding, text = "cp1252", head.decode("cp1252", "ignore")
     lines = text.splitlines()
-    skipped = next((k for k, line in enumerate(lines) if not line.startswith("#")), 0)
+    skipped = next((k for k, line in enumerate(lines) if not line.startswith(COMMENTS)), 0)
     sample = [line.strip(" ") for line in lines[skipped : skipped + 50]]
     if not any(sample):
         return [], pd.DataFrame()
@@ -225,10 +225,12 @@ def _rule(ours: str, name: Any, values: pd.Series, reason: str) -> str:
     if written or needed not in ("1", "measure"):
         keys["unit"] = f'"{written or (needed if same else "?")}"'
     codes = values.dropna().unique()
-    mapped = re.fullmatch(AUTONOMOUS, _parts(name)[0]) or not {*codes} <= {0, 1}
-    if not _is_number(values) or (ours == "mode" and mapped):
+    shares = values.dtype.kind in "iuf" and all(0 <= code <= 1 for code in codes)
+    if not _is_number(values) or (ours == "mode" and not shares):
         keys["map"] = f"{{ {', '.join(_entry(name, code) for code in codes[:10])} }}"
     elif ours == "mode":
+        if re.fullmatch(AUTONOMOUS, _parts(name)[0]):
+            keys |= {"scale": "-1", "offset": "1"}
         remarks.append("check that 1 is manual")
     comment = f"  # {'; '.join(remarks)}" if remarks else ""
     return f"{ours} = {{ {', '.join(map(' = '.join, keys.items()))} }}{comment}"
@@ -254,7 +256,7 @@ def _time_unit(name: Any, values: pd.Series) -> tuple[str, str]:
         return unit, ""
     if _is_number(values):
         step = float(values.diff().abs().median())
-        unit = next((unit for unit, longest in STEPS.items() if step <= longest), "ns")
+        unit = likely_unit(values.iloc[0], step)
         return unit, f"   # guessed: rows are {step:.4g} apart"
     first = str(values.iloc[0]).strip()
     if re.match(r"\d{1,2}:\d{2}:\d{2}", first):

@@ -15,8 +15,8 @@ from trustlab.sessions.patterns import PathMatch, PathPattern, natural_key
 from trustlab.sessions.recipe import NUMBER, HeaderRule, plain_key
 from trustlab.sessions.tables import SUFFIXES, suffix_of
 
-# How the names of folders begin in which files are made.
-TEMPORARY = ".trustlab-"
+# How the names begin of what is no log: of editors and systems, and of files being made.
+HIDDEN = (".", "~$")
 
 
 class Header:
@@ -90,8 +90,11 @@ def logs_in(folder: str) -> list[str]:
     logs = [
         str(path)
         for path in Path(folder).iterdir()
-        if (path.is_file() and suffix_of(path) in set(SUFFIXES) - {".txt"})
-        or (path / "metadata.yaml").is_file()
+        if not path.name.startswith(HIDDEN)
+        and (
+            (path.is_file() and suffix_of(path) in set(SUFFIXES) - {".txt"})
+            or (path / "metadata.yaml").is_file()
+        )
     ]
     if not logs:
         fault = f"there are no logs in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders)"
@@ -127,10 +130,9 @@ def _files(folder: str) -> Iterator[str]:
         bags = [
             name for name in folders if os.path.isfile(os.path.join(here, name, "metadata.yaml"))
         ]
-        inner = {name for name in folders if not name.startswith(TEMPORARY)} - set(bags)
-        folders[:] = sorted(inner)
+        folders[:] = sorted(name for name in {*folders} - {*bags} if not name.startswith(HIDDEN))
         for name in sorted([*bags, *files]):
-            if PARTIAL not in name:
+            if PARTIAL not in name and not name.startswith(HIDDEN):
                 yield os.path.join(here, name)
 
 

@@ -243,7 +243,9 @@ def with_performance(
         share = session["alpha" if "alpha" in session else "mode"]
         p_r, p_h = mixed_initiative(u_h, u_a, u_i, apart, share, u_max, e_max)
         equations = "(3.26), (3.27)"
-    p_r, p_h = (window_mean(values, session.sample_time, window) for values in (p_r, p_h))
+    step = session.sample_time
+    p_r, p_h = (window_mean(values, step, window) for values in (p_r, p_h))
+    window = round(round(window / step) * step, 9)  # as averaged
     if window > session.duration:
         short = (
             f"{session.label} lasts {session.duration:g} s, less than the window of {window:g} s"
@@ -251,7 +253,7 @@ def with_performance(
         warn(f"{short}: every value is the mean of what there was so far")
     note = f"{equations}, window {window:g} s"
     # The new means begin where the session does, also where older ones had been cut.
-    more = {**session.metadata.more, "performance": note, "performance_window": float(window)}
+    more = {**session.metadata.more, "performance": note, "performance_window": window}
     more.pop("performance_cut", None)
     measured = session.with_columns(p_r=p_r, p_h=p_h)
     return replace(measured, metadata=replace(session.metadata, more=more))

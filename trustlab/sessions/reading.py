@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, get_args
 
@@ -144,8 +145,8 @@ def read_frame(
     sample_time : float, optional
         Time between samples [s] after resampling.
     **metadata : object
-        participant, condition or any other name. Where the recipe takes metadata from the path of a
-        file, they stand for the fields of its pattern.
+        participant, condition or any other name, but none close to an argument. Where the recipe
+        takes metadata from the path of a file, they stand for the fields of its pattern.
 
     Raises
     ------
@@ -384,6 +385,13 @@ class Reader:
             table = frame_table(frame, self._chosen(), self.layout)
             sessions = self._of_table(table, "data frame", metadata)
         more = {name: value for name, value in metadata.items() if name not in fields}
+        arguments = {*read_session.__annotations__, *read_frame.__annotations__}
+        for name in more:
+            # "resampled" is what reading itself notes.
+            close = get_close_matches(name, {*arguments, "resampled"}, n=1, cutoff=0.85)
+            if arguments & {*close}:
+                fault = f"{name!r} looks like the argument {close[0]!r}, not like metadata"
+                raise ValueError(f"{fault}; correct it, or use another name")
         return [session.with_metadata(**more) for session in sessions] if more else sessions
 
     def _check_kind(self, kind: str) -> None:
@@ -437,7 +445,7 @@ class Reader:
         parts = parts_of(log, recipe)
         sessions = [session_of(part, recipe, values, selection, self.resampling) for part in parts]
         for session in sessions:
-            for doubt in doubts(session, log.notes):
+            for doubt in doubts(session, log.notes, recipe.time):
                 self.doubts.setdefault(doubt, []).append(log.source)
         return sessions
 
@@ -473,22 +481,32 @@ def existing(path: Path) -> Path:
     return path
 
 
-# Samples further apart [s] than this: nobody logs control that slowly.
-SLOWEST = 10.0
+# Units of stamps: how many make a second, and the longest step between samples that looks like the
+# unit: nobody logs control more slowly than every 5 s, or, in small units, than every second.
+STEPS = {"s": (1.0, 5.0), "ms": (1e3, 1e3), "us": (1e6, 1e6), "ns": (1e9, np.inf)}
 
 # Performance above which a measure, in m/s or a share of 1, is no longer plausible.
 MOST_PERFORMANCE = 10.0
 
 
-def doubts(session: Session, notes: Mapping[str, object]) -> list[str]:
+def likely_unit(first: float, step: float) -> str:
+    """Return the unit of numbers that are times: by the first, if since 1970, or by their step."""
+    for unit, (size, _) in STEPS.items():
+        # From 2001 to 2286; the step tells them from other units since some other day.
+        if 1e9 <= first / size < 1e10 and step / size < STEPS["s"][1]:
+            return unit
+    return next((unit for unit, (_, longest) in STEPS.items() if step < longest), "?")
+
+
+def doubts(session: Session, notes: Mapping[str, Any], time: Any) -> list[str]:
     """Return what is hardly meant as it was read: times, performance, a line cut short."""
     words = []
-    step = session.sample_time
-    if step >= SLOWEST:
-        # Of a log at 1 to 1,000 Hz.
-        unit = "ns" if step >= 1e6 else "us" if step >= 1e3 else "ms"
+    first, step = notes.get("start_time", session.t[0]), session.sample_time
+    if getattr(time, "unit", "iso") not in ("iso", "clock") and likely_unit(first, step) != "s":
+        size = time.seconds(1.0)
+        unit = likely_unit(first / size, step / size)
         remedy = f'if its times are in {unit}, a recipe says so: [time] unit = "{unit}"'
-        words.append(f"samples are {step:g} s apart; {remedy}")
+        words.append(f"samples are {step:g} s apart, from {first:g} s on; {remedy}")
     for name in ("p_r", "p_h"):
         if name not in session.columns:
             continue

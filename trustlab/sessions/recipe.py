@@ -372,8 +372,10 @@ class TableRule:
     encoding: Literal["utf-8", "cp1252"] = "utf-8"
 
     def __post_init__(self):
-        if self.decimal == (self.delimiter or ","):
-            raise ValueError(f"decimal and delimiter must differ, both are {self.decimal!r}")
+        if self.decimal == self.delimiter:
+            raise RecipeError(
+                f"decimal and delimiter of a table must differ, both are {self.decimal!r}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

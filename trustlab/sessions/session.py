@@ -277,6 +277,9 @@ class Session(Result):
         """
         Return a session with columns added or replaced.
 
+        What the metadata say of p_r and p_h, such as performance_window, goes where one of them is
+        replaced.
+
         Parameters
         ----------
         **columns : array_like, shape (N,)
@@ -291,7 +294,11 @@ class Session(Result):
             if np.ndim(values) > 1 or (np.ndim(values) == 1 and len(values) != len(self)):
                 fault = f"is of shape {np.shape(values)}, but the session has {len(self)} samples"
                 raise SessionError(f"column {name!r} {fault}", self.metadata.source)
-        return Session(self.data.assign(**columns), self.metadata)
+        more = dict(self.metadata.more)
+        if {"p_r", "p_h"} & columns.keys() & {*self.columns}:
+            for name in ("performance", "performance_window", "performance_cut"):
+                more.pop(name, None)
+        return Session(self.data.assign(**columns), replace(self.metadata, more=more))
 
     def with_metadata(self, **changes: Any) -> Session:
         """

@@ -25,6 +25,9 @@ SUFFIXES = (*TEXTS, ".parquet", *BAGS)
 # The start of the first line of a CSV file whose rest is metadata.
 COMMENT = "# trustlab "
 
+# How a line begins that stands before the names; the second is Excel's.
+COMMENTS = ("#", "sep=")
+
 # The bytes at the start and the end of a text that show how it is written.
 HEAD = 1 << 20
 
@@ -115,14 +118,14 @@ def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[st
     if lines[0].startswith(COMMENT) and not before:
         before, metadata = 1, metadata_from_json(lines[0][len(COMMENT) :])[0]
     try:
-        names = next(csv.reader(lines[before:], delimiter=layout.delimiter), [])
-        names = [name.strip() for name in names]
+        rows = csv.reader(lines[before:], delimiter=layout.delimiter)
+        names = [name.strip() for name in next(rows, [])]
         places = positions(chosen, names, layout.header)
     except (SessionError, csv.Error) as error:
-        _refuse_encoding(source, layout.encoding)
+        refuse_encoding(source, layout.encoding)
         fault = _layout_fault(names, layout) or error
         raise SessionError(f"line {before + 1}: {fault}") from error
-    before += layout.header
+    before += rows.line_num * layout.header  # a name may have a line break
     frame = _parsed(source, before, len(names), places, layout, {places[name] for name in texts})
     ends = end[len(end.rstrip(b"\r\n")) :]
     empty = max(ends.count(b"\n") or ends.count(b"\r"), 1) - 1
@@ -143,7 +146,7 @@ def _layout_fault(names: Sequence[str], layout: TableRule) -> str:
     """Say what the line of names shows of a table that is written in another way; else nothing."""
     if not "".join(names):
         return "is empty; the names of the columns or the first row should be here"
-    if names[0].startswith("#"):
+    if names[0].startswith(COMMENTS):
         return "found a comment instead of the names; skip it with [table] skip_lines in a recipe"
     mark = next(
         (mark for mark in ";\t|, " if mark != layout.delimiter and mark in "".join(names)), ""
@@ -201,7 +204,7 @@ def _parsed(
             fault = str(error)
             if "Empty CSV" in fault or "Could not skip" in fault:
                 return pd.DataFrame(columns=list(places))
-            _refuse_encoding(source, layout.encoding)
+            refuse_encoding(source, layout.encoding)
             raise SessionError(_ragged(fault)) from error
 
     frame = table.to_pandas()
@@ -220,7 +223,7 @@ def _ragged(fault: str) -> str:
     return f"line {line}: has {cells} cells, but the first line has {width}; {hint}"
 
 
-def _refuse_encoding(source: bytes | Path, encoding: str) -> None:
+def refuse_encoding(source: bytes | Path, encoding: str) -> None:
     """Raise where a text has bytes that its encoding has not."""
     content = _opened(source).read()
     if b"\0" in content[:HEAD]:

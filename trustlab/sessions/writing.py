@@ -13,7 +13,6 @@ from trustlab.models.extras import extra
 from trustlab.models.files import path_of, write_atomically
 from trustlab.sessions.bags import PREFIX
 from trustlab.sessions.errors import SessionError, source_named
-from trustlab.sessions.folders import TEMPORARY
 from trustlab.sessions.session import Session, metadata_to_json
 from trustlab.sessions.tables import COMMENT
 
@@ -45,8 +44,8 @@ def write_session(session: Session, path: str | os.PathLike) -> Path:
     Raises
     ------
     SessionError
-        If the format is unknown, the place cannot be written to, or metadata would not read back
-        the same.
+        If the format is unknown, the place cannot be written to, or data or metadata would not
+        read back the same.
 
     Examples
     --------
@@ -59,6 +58,7 @@ def write_session(session: Session, path: str | os.PathLike) -> Path:
     True
     """
     of_class("session", session, Session)
+    session = Session(session.data, session.metadata)  # checks what was done to its table
     path = path_of("path", path)
     suffix = one_of(f"the suffix of path {str(path)!r}", path.suffix.lower(), FORMATS)
     with source_named(str(path)):
@@ -111,7 +111,8 @@ def write_recording(
         data = typestore.serialize_cdr(typestore.types[kind](value), kind)
         messages.append((topic, time, data))
 
-    with tempfile.TemporaryDirectory(prefix=TEMPORARY, dir=path.parent) as folder:
+    # A name that no reader of the folder takes for a log.
+    with tempfile.TemporaryDirectory(prefix=".trustlab-", dir=path.parent) as folder:
         place = Path(folder) / path.name
         writer = rosbag2.Writer(place, version=8, storage_plugin=rosbag2.StoragePlugin.MCAP)
         if types:  # covariances are mostly zeros
