@@ -260,7 +260,7 @@ def test_code_that_shows_nothing_is_folded_with_the_code_after_it():
 
 
 def test_minus_and_percent_signs_are_set_in_prose_alone():
-    words = "From -0.2 to 82% (`-5%`, $-1$) in 1-5, 95\n% and -3 % of 2026-11-29"
+    words = "From -0.2 to 82% (`-5%`, $-1$) in 1-5, 95\n% and -3 % (95% CI) of 2026-11-29"
     output = new_output("display_data", {"text/markdown": words})
     metadata = {"text/html": f"<table><caption>{words}</caption></table>"}
     outputs = [output, new_output("display_data", metadata)]
@@ -273,7 +273,7 @@ def test_minus_and_percent_signs_are_set_in_prose_alone():
         ]
     )
     _, answer, prose, cell, table, *_ = nbformat.reads(chapter(run, {}), 4).cells
-    said = "From −0.2 to 82\u00a0% (`-5%`, $-1$) in 1-5, 95\u00a0% and −3\u00a0% of 2026-11-29"
+    said = "From −0.2 to 82\u00a0% (`-5%`, $-1$) in 1-5, 95\u00a0% and −3\u00a0% (95% CI) of 2026-11-29"
     shown = [prose.source, cell.outputs[0].data["text/markdown"]]
     assert [*shown, table.metadata["mystnb"]["figure"]["caption"]] == [said] * 3
     assert said in answer.source

@@ -15,8 +15,9 @@ PICTURES = {"image/svg+xml", "image/png"}
 WORDS = ("text/markdown", "text/html")
 # HTML, as it shows in JupyterLab, too.
 BOX = '<section class="answer" aria-label="In short">\n\n{}\n\n</section>'
-# Code, formulas and tags, which stay as they are; a minus and a percent sign of a number.
-TYPED = re.compile(r"(`[^`]*`|\$[^$]*\$|<\w[^>]*>)|(?<![\w.)-])-(?=\d)|(?<=\d)\s?%(?!\d)")
+# Code, formulas and tags, which stay as they are; a minus and a percent sign of a number, but for
+# "95% CI", as papers print it.
+TYPED = re.compile(r"(`[^`]*`|\$[^$]*\$|<\w[^>]*>)|(?<![\w.)-])-(?=\d)|(?<=\d)\s?%(?!\d| CI)")
 CAPTION = re.compile("<caption>(.*?)</caption>", re.DOTALL)
 # What nobody wants to read: what a call of Matplotlib returns, and that a function was compiled.
 NOISE = re.compile(

@@ -136,7 +136,7 @@ def plot_energies(session: Session, axes=None):
     for panel, names in zip(axes, ENERGIES, strict=True):
         for width, (name, label) in zip(WIDTHS, names.items(), strict=True):
             energy = session[name]
-            label = label.format(energy.min()).replace("-", "−")
+            label = label.format(energy.min().round(6)).replace("-", "−")
             panel.plot(session.t, energy, lw=width, label=label)
         panel.axhline(0.0, color="0.6", lw=0.8, zorder=0)
         panel.set(xlabel="time [s]", ylabel="energy [J]")
