@@ -273,7 +273,8 @@ def test_minus_and_percent_signs_are_set_in_prose_alone():
         ]
     )
     _, answer, prose, cell, table, *_ = nbformat.reads(chapter(run, {}), 4).cells
-    said = "From −0.2 to 82\u00a0% (`-5%`, $-1$) in 1-5, 95\u00a0% and −3\u00a0% (95% CI) of 2026-11-29"
+    said = "From −0.2 to 82_% (`-5%`, $-1$) in 1-5, 95_% and −3_% (95% CI) of 2026-11-29"
+    said = said.replace("_", "\u00a0")
     shown = [prose.source, cell.outputs[0].data["text/markdown"]]
     assert [*shown, table.metadata["mystnb"]["figure"]["caption"]] == [said] * 3
     assert said in answer.source
