@@ -16,6 +16,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
 
+from benchmarks.timing import number, time_of
+
 CASES = (
     "first_use",
     "sessions",
@@ -70,20 +72,9 @@ They take long to install or to write down. Measured on 2026-11-24, the last on 
 def cells(row) -> list[str]:
     """Return a row as text: work, ours, peer, ratio, goal."""
     peer = f"{row.peer}: {time_of(row.theirs)}" if row.peer else ""
-    ratio = f"{median(row.ratios):,.3g}" if row.ratios else ""
+    ratio = number(median(row.ratios)) if row.ratios else ""
     goal = f"{row.goal}: {'met' if row.met else 'not met'}" if row.goal else ""
     return [row.work, time_of(row.ours), peer, ratio, "; ".join(filter(None, [goal, row.note]))]
-
-
-def time_of(milliseconds) -> str:
-    """Return the median, and the least and the greatest of several, in the unit that suits."""
-    if not len(milliseconds):
-        return ""
-    values = [median(milliseconds), min(milliseconds), max(milliseconds)]
-    sizes = {"s": 1e-3, "ms": 1.0, "µs": 1e3}
-    unit = "s" if values[0] >= 1e3 else "ms" if values[0] >= 0.1 else "µs"
-    middle, least, most = (f"{sizes[unit] * value:,.3g}" for value in values)
-    return f"{middle} {unit}" + (f" ({least}–{most})" if len(milliseconds) > 1 else "")
 
 
 def write(rows) -> None:

@@ -32,6 +32,22 @@ class NotComparedError(Exception):
     """A peer is not there, or computes something else."""
 
 
+def number(value: float) -> str:
+    """Return three digits of a number, written out."""
+    return f"{float(f'{value:.3g}'):,g}"
+
+
+def time_of(milliseconds: Sequence[float]) -> str:
+    """Return the median, and the least and the greatest of several, in the unit that suits."""
+    if not len(milliseconds):
+        return ""
+    values = [median(milliseconds), min(milliseconds), max(milliseconds)]
+    sizes = {"s": 1e-3, "ms": 1.0, "µs": 1e3}
+    unit = "s" if values[0] >= 1e3 else "ms" if values[0] >= 0.1 else "µs"
+    middle, least, most = (number(sizes[unit] * value) for value in values)
+    return f"{middle} {unit}" + (f" ({least}–{most})" if len(milliseconds) > 1 else "")
+
+
 def seconds(call: Callable[[], object], calls: int) -> float:
     """Return the mean time of a call; a peer in a process of its own returns its seconds."""
     gc.collect()
@@ -83,7 +99,7 @@ def within(
     """Time a call whose goal is to take at most `limit` milliseconds."""
     count = calls_of(call)
     times = [1e3 * seconds(call, count) for _ in range(turns)]
-    return Row(work, times, goal=f"≤ {limit:g} ms", met=median(times) <= limit, note=note)
+    return Row(work, times, goal=f"≤ {time_of([limit])}", met=median(times) <= limit, note=note)
 
 
 def tail(
@@ -98,8 +114,8 @@ def tail(
     import numpy as np
 
     p99 = float(np.percentile(times, 99))
-    goal = f"p99 ≤ {limit:g} ms{more}"
-    note = "; ".join(filter(None, [f"p99 {p99:.3g} ms", note]))
+    goal = f"p99 ≤ {time_of([limit])}{more}"
+    note = "; ".join(filter(None, [f"p99 {time_of([p99])}", note]))
     return Row(work, times, goal=goal, met=met and p99 <= limit, note=note)
 
 

@@ -370,13 +370,14 @@ class InDoubt(SphinxDirective):
                 more = f", and {said[why] - 1} more" * (name != claim and said[why] > 1)
                 lines += [f"{name}: {about['says']}{more} {badge(about['verdict'])}"]
                 shown.add(why)
-                first = why.split()[0]
-                if first.isascii() and first.isalpha():  # δ_TSC and df1 stay as they are
-                    why = why[0].upper() + why[1:]
-                why += "."
                 instead = f"*Instead*: {about['instead']}." if "instead" in about else ""
-                lines += [f": {why} {instead} {place(self, about)}", ""]
+                lines += [f": {sentence(why)} {instead} {place(self, about)}", ""]
         return [_parsed(self, lines, "in-doubt")]
+
+
+def sentence(words: str) -> str:
+    """Return words as a sentence; symbols, such as b, df1 and δ_TSC, get no capital."""
+    return re.sub(r"^[a-z]{2,}(?!\S)", lambda word: word[0].capitalize(), words) + "."
 
 
 def place(directive: SphinxDirective, about: dict[str, str]) -> str:

@@ -1,9 +1,14 @@
 // Tables sort, filter and download by DataTables; a long one shows a page of its rows.
 document.addEventListener("DOMContentLoaded", () => {
   for (const table of document.querySelectorAll("table.dataframe, .finder table")) {
-    for (const shown of table.querySelectorAll("td > data"))
-      shown.parentElement.dataset.order = shown.value
-    const long = table.rows.length > 26
+    for (const cell of table.querySelectorAll("td")) {
+      const text = cell.textContent.trim()
+      // "–" stands for nothing, also among numbers.
+      cell.dataset.order = cell.querySelector("data")?.value ?? text.replace(/^–$/, "")
+      cell.dataset.head = table.tHead.rows[0].cells[cell.cellIndex].textContent.trim()
+      if (text.length > 60) cell.classList.add("words")
+    }
+    const long = table.rows.length > 50
     const made = new DataTable(table, {
       order: [],
       autoWidth: false,

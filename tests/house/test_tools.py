@@ -84,6 +84,15 @@ def test_one_case_runs_alone_and_leaves_the_page(monkeypatch, capsys, tmp_path):
         bench.main(["lops"])
 
 
+def test_times_and_their_limits_are_written_out_in_the_same_units():
+    assert timing.time_of([687.0, 644.0, 1543.0]) == "687 ms (644–1,540)"
+    assert timing.time_of([0.0134]) == "13.4 µs"
+    assert timing.number(1432.0) == "1,430"
+    limit = timing.within("work", lambda: Seconds(10.6), 20_000.0, turns=1)
+    assert (limit.goal, timing.time_of(limit.ours)) == ("≤ 20 s", "10.6 s")
+    assert timing.tail("work", [0.014], 0.015).goal == "p99 ≤ 15 µs"
+
+
 def test_a_peer_that_computes_something_else_is_not_compared(monkeypatch, capsys):
     def rows():
         timing.same("a peer", [1.0, 2.0], [1.0, 2.1], 1e-2)

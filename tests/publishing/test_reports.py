@@ -216,6 +216,14 @@ def test_first_page_quotes_what_a_report_says_in_bold(answer, said):
     assert "```text" in empty_chapter(path, answer, "NameError")
 
 
+def test_a_reason_begins_with_a_capital_unless_with_a_symbol():
+    sentence = runpy.run_path(str(ROOT / "docs" / "extension.py"))["sentence"]
+    said = ["b ≤ a: otherwise", "the sum", "df1 = 2", "δ_TSC is"]
+    assert [*map(sentence, said)] == ["b ≤ a: otherwise.", "The sum.", "df1 = 2.", "δ_TSC is."]
+    begun = CLAIMS.loc[CLAIMS["verdict"].isin({"fails", "holds with a condition"}), "why"]
+    assert not begun.str.startswith("a ").any()
+
+
 def test_search_lists_the_section_of_a_table_first():
     """Sphinx shows an entry of the index that is what was asked for before every other result."""
     entries = runpy.run_path(str(ROOT / "docs" / "extension.py"))["FinderEntries"]
@@ -250,6 +258,27 @@ def test_code_that_shows_nothing_is_folded_with_the_code_after_it():
     run = new_notebook(cells=[new_markdown_cell("# T"), *code, new_markdown_cell("words")])
     sources = [cell.source for cell in nbformat.reads(chapter(run, {}), 4).cells]
     assert sources[:-1] == ["# T", "a\n\nb", "c", "words"]
+
+
+def test_minus_and_percent_signs_are_set_in_prose_alone():
+    words = "From -0.2 to 82% (`-5%`, $-1$) in 1-5, 95\n% and -3 % (95% CI) of 2026-11-29"
+    output = new_output("display_data", {"text/markdown": words})
+    metadata = {"text/html": f"<table><caption>{words}</caption></table>"}
+    outputs = [output, new_output("display_data", metadata)]
+    run = new_notebook(
+        cells=[
+            new_markdown_cell("# T"),
+            new_markdown_cell(words),
+            new_code_cell("-1", outputs=outputs, metadata={"tags": []}),
+            new_code_cell("-1", outputs=[output], metadata={"tags": ["answer"]}),
+        ]
+    )
+    _, answer, prose, cell, table, *_ = nbformat.reads(chapter(run, {}), 4).cells
+    said = "From −0.2 to 82_% (`-5%`, $-1$) in 1-5, 95_% and −3_% (95% CI) of 2026-11-29"
+    said = said.replace("_", "\u00a0")
+    shown = [prose.source, cell.outputs[0].data["text/markdown"]]
+    assert [*shown, table.metadata["mystnb"]["figure"]["caption"]] == [said] * 3
+    assert said in answer.source
 
 
 @pytest.mark.parametrize("book", [True, False])

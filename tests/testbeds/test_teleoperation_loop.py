@@ -333,6 +333,17 @@ def test_axes_of_another_number_are_refused():
     assert STUDIES["main"].plot_scales(alone) is alone[0, 0]
 
 
+def test_axes_and_legends_are_in_words():
+    axes = RUNS[0].plot(["trust_hr", "alpha"])
+    assert [axis.get_ylabel() for axis in axes] == ["trust\nin the robot", "share α"]
+    guidance = tl.teleoperation.Guidance("through_channel", guard="cancel")
+    run = tl.simulate_teleoperation("TMIG", seed=2, duration=12.0, guidance=guidance)
+    assert 1.2e-4 < -run["energy_robot"].min() < 1.4e-4
+    said = plot_energies(run)[1].get_legend_handles_labels()[1]
+    assert "taken by the robot's port, least −0.00013 J" in said
+    assert "taken by the channel, least 0 J" in said
+
+
 def test_measures_are_those_of_the_log():
     table = tl.teleoperation_measures(RUNS)
     assert table["synthetic"].all()

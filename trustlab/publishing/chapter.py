@@ -15,6 +15,9 @@ PICTURES = {"image/svg+xml", "image/png"}
 WORDS = ("text/markdown", "text/html")
 # HTML, as it shows in JupyterLab, too.
 BOX = '<section class="answer" aria-label="In short">\n\n{}\n\n</section>'
+# Code, formulas and tags, which stay as they are; a minus and a percent sign of a number, but for
+# "95% CI", as papers print it.
+TYPED = re.compile(r"(`[^`]*`|\$[^$]*\$|<\w[^>]*>)|(?<![\w.)-])-(?=\d)|(?<=\d)\s?%(?!\d| CI)")
 CAPTION = re.compile("<caption>(.*?)</caption>", re.DOTALL)
 # What nobody wants to read: what a call of Matplotlib returns, and that a function was compiled.
 NOISE = re.compile(
@@ -28,11 +31,12 @@ def chapter(run: NotebookNode, origin: dict[str, str]) -> str:
     boxes, body = [], []
     for cell in cells:
         if cell.cell_type != "code":
+            cell.source = typeset(cell.source)
             body.append(cell)
         elif "answer" in cell.metadata.tags:
             shown = [output.get("data", {}) for output in cell.outputs]
             words = [data[kind] for data in shown for kind in WORDS if kind in data]
-            boxes += [new_markdown_cell(BOX.format(answer)) for answer in words]
+            boxes += [new_markdown_cell(BOX.format(typeset(answer))) for answer in words]
         else:
             for part in _parts(cell):
                 # Code that shows nothing is folded with the code after it.
@@ -44,6 +48,11 @@ def chapter(run: NotebookNode, origin: dict[str, str]) -> str:
     about = {"language_info": {"name": "python", "pygments_lexer": "ipython3"}}
     cells = [title, *boxes, *body, new_markdown_cell(end)]
     return nbformat.writes(new_notebook(cells=cells, metadata=about))
+
+
+def typeset(text: str) -> str:
+    """Return prose whose numbers have minus signs, and stay on a line with their percent sign."""
+    return TYPED.sub(lambda sign: sign[1] or ("−" if sign[0] == "-" else "\u00a0%"), text)
 
 
 def empty_chapter(path: Path, words: str, failure: str = "") -> str:
@@ -61,6 +70,7 @@ def _parts(cell: NotebookNode) -> list[NotebookNode]:
     parts = [cell]
     for output in outputs:
         data = output.get("data", {"text/plain": output.get("text", "")})
+        data |= {kind: typeset(data[kind]) for kind in WORDS if kind in data}
         if shown := _shown(output, data):
             parts += [_silent([output], mystnb=shown), _silent([])]
         elif len(data) > 1 or not NOISE.match(data.get("text/plain", "")):
@@ -72,7 +82,7 @@ def _shown(output: NotebookNode, data: dict[str, str]) -> dict[str, dict]:
     """Return how a picture, or a table with a caption, is shown; nothing for other outputs."""
     for kind in PICTURES & set(data):
         words = output.metadata.get(kind, {}).get("caption", "").split()
-        caption = " ".join(words) or "Result of this section."
+        caption = typeset(" ".join(words)) or "Result of this section."
         return {"image": {"alt": caption}, "figure": {"caption": caption}}
     table = CAPTION.search(data.get("text/html", ""))
     if table is None:

@@ -15,6 +15,10 @@ LABELS = {
     "p_h": "human\nperformance",
     "r": "utilization",
     "tsc": "TSC",
+    "trust_hr": "trust\nin the robot",
+    "trust_rh": "trust in\nthe operator",
+    "alpha": "share α",
+    "beta": "scale β",
 }
 
 

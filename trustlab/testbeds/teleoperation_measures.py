@@ -19,19 +19,19 @@ ROUNDING = 1e-9
 ENERGIES = (
     {
         "energy_operator": "supplied by the operator",
+        "energy_target": "given by the moving target",
         "energy_device": "stored in the device",
         "energy_dissipated": "dissipated in the device",
     },
     {
-        "energy_channel": "taken by the channel, least {:z.3f} J",
-        "energy_robot": "taken by the robot's port, least {:z.3f} J",
-        "energy_guidance": "taken by the guidance, least {:z.3f} J",
-        "energy_port": "taken by the operator's port, least {:z.3f} J",
-        "energy_target": "given by the moving target, least {:z.3f} J",
+        "energy_channel": "taken by the channel, least {:z.2g} J",
+        "energy_robot": "taken by the robot's port, least {:z.2g} J",
+        "energy_guidance": "taken by the guidance, least {:z.2g} J",
+        "energy_port": "taken by the operator's port, least {:z.2g} J",
     },
 )
 # Each energy of a panel is drawn narrower than the one before, which shows on both sides of it.
-WIDTHS = (6.0, 4.5, 3.0, 2.0, 1.0)
+WIDTHS = (6.0, 4.0, 2.5, 1.0)
 
 
 def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFrame:
@@ -112,15 +112,15 @@ def plot_energies(session: Session, axes=None):
     """
     Plot the energies of all ports over time: operator, device, channel, robot, target.
 
-    Of channel, both ports and target the legend has the least energy.
+    Of channel, guidance and both ports the legend has the least energy.
 
     Parameters
     ----------
     session : Session
         A run of `simulate_teleoperation`.
     axes : sequence of two matplotlib.axes.Axes, optional
-        Operator and device in the first, channel, both ports and target in the second; a new figure
-        when not given.
+        Operator, target and device in the first, the others in the second; a new figure when not
+        given.
 
     Returns
     -------
@@ -134,9 +134,10 @@ def plot_energies(session: Session, axes=None):
     of_class("session", session, Session).require(*ENERGIES[0], *ENERGIES[1])
     axes = axes_or_new(axes, columns=2, title=session.label, figsize=(8.6, 4.2))
     for panel, names in zip(axes, ENERGIES, strict=True):
-        for width, (name, label) in zip(WIDTHS, names.items(), strict=False):
+        for width, (name, label) in zip(WIDTHS, names.items(), strict=True):
             energy = session[name]
-            panel.plot(session.t, energy, lw=width, label=label.format(energy.min()))
+            label = label.format(energy.min().round(6)).replace("-", "−")
+            panel.plot(session.t, energy, lw=width, label=label)
         panel.axhline(0.0, color="0.6", lw=0.8, zorder=0)
         panel.set(xlabel="time [s]", ylabel="energy [J]")
         # outside of the axes
