@@ -125,18 +125,6 @@ def test_commands_that_rest_while_the_robot_drives_are_told(recwarn, v, w, mode,
         assert "fit the robot alone, driven by the measured P_h" in words[0]
 
 
-def test_other_performance_is_no_mean_that_the_old_one_was():
-    """A fit took the window out of values that no window had averaged."""
-    measured = drive().with_performance(window=10.0)
-    cut = measured.between(5.0, 60.0)
-    for session in (measured, cut):
-        for name in ("p_r", "p_h"):
-            assert session.with_columns(**{name: 0.3}).metadata.more == {}
-        assert session.with_columns(r=0.3).metadata == session.metadata
-    announced = drive().with_metadata(performance_window=10.0)  # by a recipe, of what is to come
-    assert announced.with_columns(p_r=0.3).metadata == announced.metadata
-
-
 def test_the_window_that_was_used_is_noted():
     """A fit refused the one that was asked for: no whole number of samples."""
     measured = drive().with_performance(window=0.26)

@@ -277,8 +277,8 @@ class Session(Result):
         """
         Return a session with columns added or replaced.
 
-        What the metadata say of p_r and p_h, such as performance_window, goes where one of them is
-        replaced.
+        Metadata stay: where other p_r and p_h are no means over a window as the old ones were, say
+        so by ``with_metadata(performance_window=0.0)``.
 
         Parameters
         ----------
@@ -294,11 +294,7 @@ class Session(Result):
             if np.ndim(values) > 1 or (np.ndim(values) == 1 and len(values) != len(self)):
                 fault = f"is of shape {np.shape(values)}, but the session has {len(self)} samples"
                 raise SessionError(f"column {name!r} {fault}", self.metadata.source)
-        more = dict(self.metadata.more)
-        if {"p_r", "p_h"} & columns.keys() & {*self.columns}:
-            for name in ("performance", "performance_window", "performance_cut"):
-                more.pop(name, None)
-        return Session(self.data.assign(**columns), replace(self.metadata, more=more))
+        return Session(self.data.assign(**columns), self.metadata)
 
     def with_metadata(self, **changes: Any) -> Session:
         """
