@@ -20,9 +20,9 @@ from trustlab.campaign.identity import sources
 
 ROOT = str(Path(tl.__file__).parents[1])
 
-# A class of the task's module, whose method calls a function of the module and has a base class.
+# A class of the task's module, whose method calls functions of the module and has a base class.
 TASK = """
-import abc, enum
+import abc, enum, functools
 import numba
 {imports}
 
@@ -30,6 +30,23 @@ KNOWN = {{"alpha", "beta", "gamma", "delta"}}
 
 def gain():
     return 1.0
+
+@functools.cache
+def stored():
+    return 0.0
+
+def gap(low, high):
+    return high - low
+
+class Rule:
+    def __init__(self, weight):
+        self.weight = weight
+
+    @functools.cache
+    def weighed(self):
+        return self.weight * (self in RULES)
+
+RULES = {{Rule(-2.0), Rule(2.0)}}
 
 class Order(enum.Enum):
     FIRST = 1
@@ -41,7 +58,8 @@ class Base(abc.ABC):
 
 class Plant(Base):
     def run(self, x):
-        return gain() * x + self.doubled + len(KNOWN) + Order.FIRST.value
+        y = gain() * x + self.doubled + len(KNOWN) + Order.FIRST.value
+        return y + stored() + gap(low=x, high=x) + sum(rule.weighed() for rule in RULES)
 
 @numba.njit
 def compiled(x):
@@ -66,7 +84,12 @@ CHANGES = [
     ("return 2 * helper", "return 3 * helper"),
     ("FIRST = 1", "FIRST = 4"),
     ('"delta"', '"epsilon"'),
+    ("return 0.0", "return 0.5"),
+    ("gap(low, high)", "gap(high, low)"),
+    ("self.weight * ", "-self.weight * "),
+    ("Rule(2.0)", "Rule(3.0)"),
     ("x + 1.0", "x + 2.0"),
+    ("@numba.njit", "@numba.njit(fastmath=True)"),
     ("VALUE = 0", "VALUE = 1"),
 ]
 # Runs each set of files in a child of its own, which has imported nothing but trustlab and numba.
@@ -190,6 +213,20 @@ def test_modules_beside_a_script_count_whoever_imports_them_but_not_the_rest_of_
     assert "another campaign: later.py changed. Use" in refused
 
 
+def test_generated_code_is_a_task_and_counts(tmp_path):
+    """What exec defines belongs to no module."""
+    for factor, resumed in ((2, 0), (2, 2), (3, None)):
+        names = {}
+        exec(f"def task(x, seed): return {{'y': {factor} * x}}", names)
+        arguments = {"n_jobs": 2, "out": tmp_path}
+        if resumed is None:
+            with pytest.raises(ValueError, match="the task or a value it uses or fills changed"):
+                tl.run_campaign(names["task"], [{"x": 1}, {"x": 2}], **arguments)
+        else:
+            table = tl.run_campaign(names["task"], [{"x": 1}, {"x": 2}], **arguments)
+            assert (table["y"].tolist(), table.attrs["resumed"]) == ([2, 4], resumed)
+
+
 def scaled(x, seed, factor=1):
     return {"y": factor * x}
 
@@ -214,7 +251,7 @@ def test_values_that_a_task_carries_count(tmp_path, make):
         table = tl.run_campaign(make(1), [{"x": 1}], n_jobs=1, out=tmp_path)
     assert table.attrs["resumed"] == 1
     for other in (2, 1.0, True):
-        with pytest.raises(ValueError, match="the task or a value it uses changed"):
+        with pytest.raises(ValueError, match="the task or a value it uses or fills changed"):
             tl.run_campaign(make(other), [{"x": 1}], n_jobs=1, out=tmp_path)
 
 

@@ -165,11 +165,12 @@ def test_a_failed_run_is_tried_again_and_what_succeeded_stays(tmp_path):
     [
         ({"seed": 1}, "seed was 0, is 1"),
         ({"seed": np.random.SeedSequence(0, spawn_key=(1,))}, r"spawn key was \(0,\), is \(1, 0\)"),
-        ({"runs": [*RUNS[:12], {"x": 50}]}, "run 12 were {'x': 12}, are {'x': 50}"),
-        ({"runs": tl.parameter_grid(x=np.arange(30.0))}, "run 0 were {'x': 0}, are {'x': 0.0}"),
-        ({"runs": [*RUNS[:1], {"x": True}]}, "run 1 were {'x': 1}, are {'x': True}"),
-        ({"runs": [{"x": np.arange(3)}]}, "run 0 were {'x': 0}, are {'x': 'ndarray "),
-        ({"task": lambda x, seed: {"y": -x}}, "the task or a value it uses changed"),
+        ({"runs": [*RUNS[:12], {"x": 50}]}, "x of run 12 was 12, is 50"),
+        ({"runs": tl.parameter_grid(x=np.arange(30.0))}, "x of run 0 was 0, is 0.0"),
+        ({"runs": [*RUNS[:1], {"x": True}]}, "x of run 1 was 1, is True"),
+        ({"runs": [{"x": np.arange(3)}]}, "x of run 0 was 0, is 'ndarray "),
+        ({"runs": [{"x": 0, "calls": None}]}, "calls of run 0"),
+        ({"task": lambda x, seed: {"y": -x}}, "the task or a value it uses or fills changed"),
     ],
 )
 def test_another_campaign_is_refused_by_what_changed(tmp_path, arguments, said):
@@ -197,16 +198,26 @@ def test_values_that_are_not_plain_are_compared_by_content(tmp_path):
         table = go(tmp_path, [{"x": np.arange(n)} for n in (3, 4)], total)
         assert table["y"].tolist() == [3.0, 6.0]
         assert table.attrs["resumed"] == resumed
-    with pytest.raises(CampaignError, match="parameters of run 1 were"):
+    with pytest.raises(CampaignError, match="x of run 1 was"):
         go(tmp_path, [{"x": np.arange(n)} for n in (3, 5)], total)
+
+
+def test_equal_parameters_are_the_same_in_whatever_order_and_memory(tmp_path):
+    def count(x, y, seed):
+        return {"z": len(x)}
+
+    words = [word.lower() for word in ("AB", "AB")]
+    for resumed, run in enumerate([{"x": ["ab", "ab"], "y": 0}, {"y": 0, "x": words}]):
+        assert go(tmp_path, [run], count).attrs["resumed"] == resumed
 
 
 def test_damage_and_places_that_cannot_be_used_are_named(tmp_path):
     go(tmp_path / "out")
     chunk = next(tmp_path.glob("out/runs-*"))
-    chunk.write_bytes(chunk.read_bytes()[:-5])
-    with pytest.raises(CampaignError, match=rf"{chunk.name} cannot be read: .*or remove it"):
-        go(tmp_path / "out")
+    for damaged in (chunk.read_bytes()[:-5], b"[]"):
+        chunk.write_bytes(damaged)
+        with pytest.raises(CampaignError, match=rf"{chunk.name} cannot be read: .*or remove it"):
+            go(tmp_path / "out")
     with pytest.raises(CampaignError, match=r"cannot write .*File exists; give a folder that is"):
         go(chunk)
     with pytest.raises(CampaignError, match=rf"^folder: there is no campaign in {tmp_path}$"):

@@ -124,6 +124,7 @@ def test_within_a_task_all_cores_means_its_own_process():
         (5, "must return a dict of results, got 5"),
         ({"x": [1, 2]}, r"'x' must be a number, text, True, False or None, got \[1, 2\]"),
         ({"failed": 1}, "result 'failed' has the name of another"),
+        ({1: 1.5}, "result 1 has .*, or no text for one"),
         ({"y": 1}, "returned y, where most runs returned x"),
     ],
 )
@@ -176,6 +177,16 @@ def test_values_keep_their_kind(tmp_path):
             assert table[name].dtype == kinds.get(name, object)
 
 
+def test_whole_numbers_keep_their_digits_beside_a_failed_run(tmp_path):
+    def given(i, seed):
+        return {"whole": 2**60 + 1} if i else 1 / i
+
+    for out in (None, tmp_path, tmp_path):
+        table = tl.run_campaign(given, tl.parameter_grid(i=[0, 1]), n_jobs=1, out=out)
+        assert int(table["whole"][1]) == 2**60 + 1  # a float would be equal
+        assert np.isnan(table["whole"][0])
+
+
 def test_what_cannot_be_sent_is_refused_before_anything_runs(tmp_path):
     lock = threading.Lock()
 
@@ -183,11 +194,15 @@ def test_what_cannot_be_sent_is_refused_before_anything_runs(tmp_path):
         return {"y": lock.locked()}
 
     runs = tl.parameter_grid(i=range(2))
-    with pytest.raises(ValueError, match="Could not pickle the task"):
+    with pytest.raises(
+        ValueError, match=r"Could not pickle the task.* cannot pickle '_thread.lock'"
+    ):
         tl.run_campaign(locked, runs, n_jobs=2)
     with pytest.raises(ValueError, match=r"the task cannot be sent.*create it inside"):
         tl.run_campaign(locked, runs, n_jobs=1, out=tmp_path / "out")
     assert not list(tmp_path.iterdir())
+    with pytest.raises(ValueError, match="n_jobs must be a whole number, 1 or more, got 0"):
+        tl.run_campaign(locked, runs, n_jobs=0)
     assert tl.run_campaign(locked, runs, n_jobs=1)["y"].tolist() == [False, False]
 
 
@@ -241,10 +256,11 @@ def test_runs_have_the_same_names():
         tl.run_campaign(dict, [{"a": 1}, {"b": 1}])
 
 
-def test_a_grid_of_a_set_is_refused():
-    """Its order differs between processes, so that no campaign of it could be resumed."""
-    with pytest.raises(ValueError, match=r"x must be a list of values, got \{'a'\}"):
-        tl.parameter_grid(x={"a"})
+@pytest.mark.parametrize("values", [{"a"}, {"a": 1}, pd.DataFrame({"a": [1]}), b"a"])
+def test_a_grid_of_what_is_no_list_is_refused(values):
+    """The order of a set differs between processes: no campaign of it could be resumed."""
+    with pytest.raises(ValueError, match="x must be a list of values, got "):
+        tl.parameter_grid(x=values)
 
 
 @pytest.mark.parametrize("axes", [{}, {"x": []}, {"x": [1], "y": np.array([])}])

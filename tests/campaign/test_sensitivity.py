@@ -3,9 +3,11 @@
 import math
 
 import numpy as np
+import pytest
 from scipy import stats
 
 import trustlab as tl
+from trustlab.campaign import CampaignError
 
 PI = math.pi
 BOX = {"x1": (-PI, PI), "x2": (-PI, PI), "x3": (-PI, PI)}
@@ -55,6 +57,19 @@ def test_estimates_are_those_of_scipy_with_its_own_points():
     ).table()
     np.testing.assert_allclose(indices["first_order"], exact.first_order, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(indices["total"], exact.total_order, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore::trustlab.campaign.CampaignWarning")
+def test_narrower_ranges_are_advised_only_where_some_runs_went_well():
+    for most, said in ((2.0, r"0\.\d+$"), (0.5, "narrow the ranges$")):
+
+        def failing(x, y, seed, most=most):
+            if x < most:
+                raise ValueError(x)
+            return {"z": x}
+
+        with pytest.raises(CampaignError, match=said):
+            tl.sobol_indices(failing, {"x": (0, 1), "y": (0, 1)}, 8, n_jobs=1)
 
 
 def test_noise_is_independent_between_points_and_distributions_may_differ():

@@ -151,6 +151,10 @@ def test_analyses_are_those_of_repeated_measures(kept):
     assert table.loc["laps", "note"].startswith("dv: the error variance is zero for condition (")
     assert [axis.get_ylabel() for axis in kept.plot("p_r")] == ["p_r"]
     assert table.loc["followed_percent", "conditions"] == "C2 C3"
+    with pytest.raises(ValueError, match="followed_percent has no values in C1; give"):
+        kept.analysis("followed_percent")
+    with pytest.raises(ValueError, match="p_r has no values in C9; give"):
+        kept.analysis("p_r", ["C1", "C9"])
     assert set(table.index) == set(kept.names)
     assert kept.table().attrs["origin"] == "simulated operators"
 
@@ -229,7 +233,7 @@ def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
         files = [path for path in tmp_path.rglob("*") if path.is_file()]
         return {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in files}
 
-    first = tl.virtual_study(**QUICK, out=tmp_path)
+    first = tl.virtual_study(**QUICK | {"laps": 1.0}, out=tmp_path)
     sessions = {path for path in state() if path.parent.name == "sessions"}
     before = state()
     again = tl.virtual_study(**QUICK, out=tmp_path)
@@ -244,6 +248,11 @@ def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
         tl.virtual_study(**QUICK, out=tmp_path / "sessions")
     with pytest.raises(ValueError, match=r"cannot write .*: Not a directory"):
         tl.virtual_study(**QUICK, out=tmp_path / "about.txt")
+    with pytest.raises(
+        ValueError, match=r"_00004_trial_2_C\d.parquet is of a study of more people"
+    ):
+        tl.virtual_study(**QUICK | {"n": 3}, out=tmp_path)
+    assert state() == before
     min(sessions).unlink()
     with pytest.raises(ValueError, match=f"1 of {len(sessions)} sessions are missing"):
         tl.virtual_study(**QUICK, out=tmp_path)

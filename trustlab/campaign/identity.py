@@ -11,6 +11,7 @@ import io
 import os
 import sys
 from collections.abc import Callable
+from functools import cache, partial
 from importlib import metadata
 from pathlib import Path
 from types import CodeType
@@ -23,52 +24,68 @@ from trustlab.models.digest import digest
 
 # Attributes of a class that say nothing of what it does.
 BOILERPLATE = {"__dict__", "__weakref__", "__firstlineno__", "_abc_impl"}
+# Functions in a cache.
+CACHED = type(cache(len))
 # Files below these are of packages whose versions tell changes.
 INSTALLED = {"site-packages", "dist-packages"}
 
 
 class _Pickler(Pickler):
-    """Pickles equal values to equal bytes in every process."""
+    """Pickles a value to the same bytes in every process; sets are ordered by `order`."""
+
+    order: Callable
 
     def persistent_id(self, value: Any) -> object:
-        """Replace sets: their order differs between processes."""
-        return sorted(map(repr, value)) if isinstance(value, set | frozenset) else None
+        """Replace sets, whose order differs between processes, and equal texts by one."""
+        if type(value) in (set, frozenset):
+            return type(value), sorted(value, key=self.order)
+        return sys.intern(value) if type(value) is str else None
 
     def reducer_override(self, value: Any) -> Any:
-        """Leave out where code stands, and what names a class or a compiled function uniquely."""
+        """Leave out where code stands, and count by content what is pickled by name."""
         if isinstance(value, CodeType):
-            return tuple, ((value.co_code, value.co_consts, value.co_names),)
-        if hasattr(value, "py_func"):  # compiled by numba
-            return str, (), value.py_func
-        if isinstance(value, type) and value.__module__ == "__main__":
+            code = value.replace(co_filename="", co_firstlineno=1, co_linetable=b"")
+            return self.dispatch_table[CodeType](code)
+        if hasattr(value, "_reduce_states"):  # compiled by numba, which gives it a random name
+            return str, (), value._reduce_states() | {"uuid": None}
+        if isinstance(value, type | CACHED) and value.__module__ == "__main__":
             body = {name: x for name, x in vars(value).items() if name not in BOILERPLATE}
-            return str, (value.__qualname__,), (value.__bases__, body)
+            parts = type(value), getattr(value, "__bases__", ()), body
+            return str, (value.__qualname__,), None if self.order is repr else parts
         return super().reducer_override(value)
+
+
+def _content(value: object, order: Callable) -> bytes:
+    stream = io.BytesIO()
+    pickler = _Pickler(stream)
+    pickler.order = order
+    pickler.dump(value)
+    return stream.getvalue()
 
 
 def value_digest(name: str, value: object) -> str:
     """Return a digest of a value, the same in every process; `name` is for the error."""
-    stream = io.BytesIO()
     try:
-        _Pickler(stream).dump(value)
+        # Elements of a set are ordered by content, but for what their classes do and sets in them.
+        return digest(_content(value, partial(_content, order=repr)))
     except Exception as error:  # pickling runs the value's own code, which may raise anything
         raise ValueError(
             f"{name} cannot be sent to another process or compared with that of an earlier "
             f"campaign ({type(error).__name__}: {error}); create it inside the task"
         ) from error
-    return digest(stream.getvalue())
 
 
 def identity(task: Callable) -> dict[str, str]:
     """Return what a task's results depend on, by name: versions and digests."""
     parts = {"version of trustlab": __version__, "version of Python": sys.version.split()[0]}
     parts |= {f"version of {name}": metadata.version(name) for name in ("numpy", "scipy", "numba")}
-    return parts | {"the task or a value it uses": value_digest("the task", task)} | sources(task)
+    parts["the task or a value it uses or fills"] = value_digest("the task", task)
+    return parts | sources(task)
 
 
 def sources(task: Callable) -> dict[str, str]:
     """Return a digest of each source file that a task may use, by its path."""
-    home = getattr(task, "func", task).__module__.partition(".")[0]
+    home = str(getattr(task, "func", task).__module__).partition(".")[0]
     paths: list[Path] = []
     for name in {name.partition(".")[0] for name in list(sys.modules)} - sys.stdlib_module_names:
         found = _paths(name)

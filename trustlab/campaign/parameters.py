@@ -1,11 +1,12 @@
 """Parameters of many runs: grids and draws."""
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from numbers import Real
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from trustlab.models.checks import in_order, shown, whole_number, whole_seed
 
@@ -38,7 +39,7 @@ def parameter_grid(repeats: int = 1, **axes: Iterable) -> list[dict]:
     Raises
     ------
     ValueError
-        If a name has no values, a set of them or a single one that is not in a list.
+        If a name has no values, a set, dict or table of them, or a single one that is in no list.
 
     Examples
     --------
@@ -47,7 +48,9 @@ def parameter_grid(repeats: int = 1, **axes: Iterable) -> list[dict]:
     {'lower': 0.0, 'upper': 0.5}
     """
     for name, values in axes.items():
-        if isinstance(values, str | set | frozenset) or not np.iterable(values):  # sets: no order
+        # Sets have no order; a dict or a table would give its names.
+        single = isinstance(values, str | bytes | Set | Mapping | pd.DataFrame)
+        if single or not np.iterable(values):
             raise ValueError(
                 f"{name} must be a list of values, got {shown(values)}; write [{shown(values)}] "
                 "for one"

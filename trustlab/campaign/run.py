@@ -30,7 +30,7 @@ from trustlab.models.digest import digest
 from trustlab.models.files import path_of, write_atomically, writing
 
 MANIFEST = "campaign.json"
-FORMAT = "trustlab campaign, format 4"
+FORMAT = "trustlab campaign, format 5"
 REMEDY = "Use another folder, or remove it"
 
 # Seconds of work in a chunk, as far as the runs before it tell; it begins no run later than twice
@@ -72,7 +72,7 @@ def run_campaign(
     task : callable
         Called as `task(**parameters, seed=SeedSequence)` with copies of the parameters; returns a
         dict of numbers, texts, True, False or None, with the same names in every run. Functions
-        of notebooks, lambdas and closures can be used.
+        of notebooks, lambdas and closures can be used, those in a `functools.cache` with n_jobs=1.
     parameters : sequence of dict
         One per run, with the same names in each; `parameter_grid` and `parameter_draws` make them.
     seed : int or numpy.random.SeedSequence
@@ -135,7 +135,7 @@ def run_campaign(
     check_parameters(parameters)
     _check_task(task, [*parameters[0], "seed"])
     seed = seed_sequence(seed)
-    n_jobs = whole_number("n_jobs", n_jobs, least=-cpu_count())
+    n_jobs = whole_number("n_jobs", n_jobs, least=-cpu_count() if n_jobs else 1)
     hidden = None if progress is None else not flag("progress", progress)
     rows: dict[int, dict] = {}
     if out is not None:
@@ -238,8 +238,10 @@ def _computed(
             mean = seconds / len(rows)
             yield rows
     except (BrokenExecutor, PicklingError) as error:
+        reason = str(error.__cause__ or "").strip('\n"').rpartition("\n")[2]
         raise CampaignError(
-            f"{error} Once that is mended, the same call goes on with the finished runs in `out`"
+            f"{error} {reason}\nOnce that is mended, the same call goes on with the finished runs "
+            "in `out`"
         ) from error
 
 
@@ -277,8 +279,10 @@ def _row(task: Callable, values: Mapping, seed: np.random.SeedSequence) -> dict[
             raise CampaignError(f"a task must return a dict of results, got {shown(results)}")
         results = {name: _plain(value) for name, value in results.items()}
         for name, value in results.items():
-            if name in RESERVED or name in values:
-                raise CampaignError(f"result {name!r} has the name of another column; rename it")
+            if not isinstance(name, str) or name in RESERVED or name in values:
+                raise CampaignError(
+                    f"result {name!r} has the name of another column, or no text for one; rename it"
+                )
             if not isinstance(value, PLAIN):
                 raise CampaignError(
                     f"result {name!r} must be a number, text, True, False or None, got "
@@ -326,6 +330,10 @@ def _table(rows: Mapping[int, dict], parameters: Any) -> pd.DataFrame:
         records.append({name: _readable(value) for name, value in values.items()})
         errors.append(_readable(error))
     table = pd.DataFrame(records or {"run": []})
+    for name in table.select_dtypes(float):
+        exact = pd.Series({k: row[name] for k, row in enumerate(records) if name in row})
+        if exact.dtype == int and exact.abs().max() > 2**53:  # floats would lose digits
+            table[name] = exact.astype(object)
     table["failed"] = [error is not None for error in errors]
     table["error"] = pd.Series(errors, dtype="str")
     tracebacks = [_readable(rows[run]["traceback"]) for run in table["run"]]
@@ -358,9 +366,11 @@ def _opened(
     ]
     rows = {run: row for run, row in _stored(folder, before).items() if run < len(texts)}
     changes += [
-        f"the parameters of run {run} were {row['parameters']}, are {texts[run]}"
+        f"{name} of run {run} was {row['parameters'].get(name)!r}, is {texts[run].get(name)!r}"
         for run, row in sorted(rows.items())
-        if str(row["parameters"]) != str(texts[run])  # tells 1, 1.0 and True apart
+        for name in row["parameters"] | texts[run]
+        # Their texts tell 1, 1.0 and True apart.
+        if repr(row["parameters"].get(name, ...)) != repr(texts[run].get(name, ...))
     ][:1]
     if changes:
         raise CampaignError(f"{folder} holds another campaign: {'; '.join(changes)}. {REMEDY}")
@@ -371,7 +381,7 @@ def _opened(
 def _manifest(folder: Path) -> dict[str, str]:
     """Return what the campaign in a folder depends on."""
     content = _read(folder / MANIFEST)
-    if not isinstance(content, dict) or FORMAT not in content:
+    if FORMAT not in content:
         raise CampaignError(f"{folder / MANIFEST} is of another version of trustlab. {REMEDY}")
     return content[FORMAT]
 
@@ -393,10 +403,10 @@ def _stored(folder: Path, parts: dict[str, str]) -> dict[int, dict]:
     return dict(sorted(rows, key=lambda pair: pair[1]["error"] is None))
 
 
-def _read(path: Path) -> Any:
+def _read(path: Path) -> dict:
     try:
-        return json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
+        return {**json.loads(path.read_bytes())}
+    except (OSError, TypeError, ValueError) as error:
         raise CampaignError(f"{path} cannot be read: {error}. {REMEDY}") from error
 
 

@@ -188,9 +188,8 @@ def _outcomes(
 ) -> tuple[list[str], np.ndarray]:
     """Return the names of the results to analyse, and their values by result and run."""
     if table.attrs["failed"]:
-        raise CampaignError(
-            f"indices need every point: {table.attrs['summary']}; narrow the ranges"
-        )
+        remedy = "; narrow the ranges" * (table.attrs["failed"] < len(table))
+        raise CampaignError(f"indices need every point: {table.attrs['summary']}{remedy}")
     numbers = table.drop(columns=["run", "failed", *names]).select_dtypes(["number", "bool"])
     chosen = list(numbers) if results is None else results
     if not isinstance(chosen, list) or not chosen or not {*chosen} <= {*numbers}:

@@ -135,6 +135,9 @@ class VirtualStudy(Result):
         one_of("dv", dv, self.names)
         compared = list(self.conditions if conditions is None else conditions)
         rows = self.measures.query("condition in @compared")
+        scored = rows.loc[rows[dv].notna(), "condition"].unique()
+        if lacking := [name for name in compared if name not in scored]:
+            raise ValueError(f"{dv} has no values in {listed(lacking)}; give `conditions` without")
         return repeated_measures(rows, dv, "condition", "participant", order=compared, **options)
 
     def table(self) -> pd.DataFrame:
@@ -393,16 +396,20 @@ def _tidy(
 
 
 def _finish(folder: Path, study: VirtualStudy) -> None:
-    """Check that every session is there, and write the tables beside them."""
+    """Check that every session is there, and no others, and write the tables beside them."""
+    place = folder / "sessions"
     rows = study.measures[["participant", "position", "condition"]].itertuples(index=False)
-    files = [session_file(folder / "sessions", *row) for row in rows]
+    files = [session_file(place, *row) for row in rows]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise ValueError(
-            f"out: {len(missing)} of {len(files)} sessions are missing from {folder / 'sessions'} "
+            f"out: {len(missing)} of {len(files)} sessions are missing from {place} "
             f"({missing[0]} first), although the campaign beside it says that they were run; "
             "remove the folder and run the study again"
         )
+    last = max(place.glob("participant_*.parquet"))
+    if last > session_file(place, len(study.participants) + 1, 0, ""):
+        raise ValueError(f"out: {last} is of a study of more people; give another folder")
     about = (
         f"SIMULATED. {study.title}: {study.message}\nOne file per session in sessions/: "
         "trustlab.read_sessions reads them.\n"

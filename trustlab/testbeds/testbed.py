@@ -339,7 +339,7 @@ class GroundRobot(ConditionTestbed):
 
     def __post_init__(self):
         super().__post_init__()
-        whole_number("laps", self.laps, most=ground.MOST_LAPS)
+        self.__dict__["laps"] = whole_number("laps", self.laps, most=ground.MOST_LAPS)
 
     def _simulated(self, task, operator, seed, decide):
         return ground.driven(task, self.robot, self.course, operator, seed, decide=decide)
