@@ -76,11 +76,11 @@ def test_fifteen_cases_agree_with_the_noncentral_f():
 
 @pytest.mark.parametrize(("n", "k"), [(12, 4), (3, 5)])
 def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
-    claims = [(k, 1), (2, k)]
+    claims, simulation = [(k, 1), (2, k)], Simulation(replicates=100, seed=3)
     matrix, mean = graded_covariance(k, 0.4, 0.5, 1.0), np.linspace(0.0, 1.5, k)
-    found = tl.power_analysis(mean, matrix, n=n, simulation=SMALL, claims=claims)
+    found = tl.power_analysis(mean, matrix, n=n, simulation=simulation, claims=claims)
     rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(n,)))
-    scores = rng.standard_normal((200, n, k)) @ np.linalg.cholesky(matrix).T + mean
+    scores = rng.standard_normal((100, n, k)) @ np.linalg.cholesky(matrix).T + mean
     hits, together = 0, 0
     for study in scores:
         result = tl.repeated_measures(long(study, range(1, k + 1)), **COLUMNS)
@@ -88,10 +88,10 @@ def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
         table = result.pairs().set_index(["a", "b"])
         right = (table["p_holm"] < 0.05) & (table["mean_difference"] < 0)  # means rise
         together += bool(right[(1, k)] and right[(2, k)] and result.p_gg < 0.05)
-    rows = found.table().set_index("test")["power"] * 200
+    rows = found.table().set_index("test")["power"] * 100
     assert rows.round().to_dict() == hits.to_dict()
     claimed = found.claims().set_index("adjust").loc["holm"]
-    assert (round(claimed["power"] * 200), claimed["claims"]) == (together, 2)
+    assert (round(claimed["power"] * 100), claimed["claims"]) == (together, 2)
 
 
 CELLS = pd.MultiIndex.from_product([["low", "high"], ["easy", "medium", "hard"]])

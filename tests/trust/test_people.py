@@ -10,6 +10,7 @@ import pytest
 import trustlab as tl
 from trustlab.models.published import data_folder
 from trustlab.trust import people as sets
+from trustlab.trust.likelihood import log_likelihood
 
 
 def test_hybrid_panels_are_the_files():
@@ -111,9 +112,11 @@ def test_missing_events_change_nothing():
         name: np.where(np.arange(10) < 6, v, np.nan) for name, v in longer.events._asdict().items()
     }
     longer = tl.trust.Panel(longer.people, tl.trust.Event(**gone), ratings, 0.01)
-    for name in ("asymmetric", "optimo", "beta"):
-        fits = [tl.fit_trust(each, name).log_likelihood for each in (short, longer)]
-        assert fits[0] == pytest.approx(fits[1], abs=1e-3)
+    for name, model in tl.trust.MODELS.items():
+        fits = [log_likelihood(model(), each)[0] for each in (short, longer)]
+        assert fits[0] == pytest.approx(fits[1], abs=1e-9), name
+    fits = [tl.fit_trust(each).log_likelihood for each in (short, longer)]
+    assert fits[0] == pytest.approx(fits[1], abs=1e-3)
 
 
 def test_a_recipe_may_be_a_file_scale_performance_and_lack_a_first_rating(tmp_path):

@@ -55,13 +55,6 @@ def test_the_comparison_sees_a_change():
     assert {"mean.C3", "anova.F", "pairs.C2-C3"} <= misses(study, frame)
 
 
-def test_the_same_seed_gives_the_same_data():
-    study = STUDIES["teleop.satisfaction"]
-    first, again, other = (tl.reconstruct(study, seed) for seed in (5, 5, 6))
-    assert first.equals(again)
-    assert not first.equals(other)
-
-
 def test_data_say_that_they_are_reconstructed():
     attrs = tl.reconstruct(STUDIES["teleop.tracking_error"], 0).attrs
     assert attrs["reconstructed"] is True
