@@ -20,14 +20,6 @@ def model():
 
 
 @cache
-def quick_model():
-    """The same twenty times as quick, so that a search over its cycles takes little."""
-    human, robot = model().human, model().robot
-    robot = replace(robot, a=robot.a**20, b=None)
-    return tl.TscModel(robot, replace(human, a=human.a**20))
-
-
-@cache
 def driver():
     return tl.testbeds.published_operator(2)
 

@@ -250,8 +250,7 @@ def values(call, argument):
     if isinstance(good, int | float) or re.search(r"\b(float|int)\b", kind):
         tried += NUMBERS
     if isinstance(good, int | float) and math.isfinite(good):
-        others = (good + 1, 0.9 * good)
-        tried += [x for x in others if not any(same(x, each) for each in NUMBERS)]
+        tried += [good + 1, 0.9 * good]
     elif isinstance(good, str):
         tried += ["", good[:-1]]
     elif isinstance(good, np.ndarray) and good.size:

@@ -26,7 +26,9 @@ CHEAPER = {
     "fit_tsc": lambda: {"sessions": cases.log()},
     "formula_model": lambda: {"data": cases.scores()},
     "invariant_bounds": lambda: {"cells": 64, "cycles": 20},
-    "optimal_allocation": lambda: {"tsc": cases.quick_model()},
+    "optimal_allocation": lambda: {  # of somebody quick, so that cycles are short
+        "tsc": tl.TscModel(tl.RobotModel(0.95, 0.2, 0.4, 0.5), tl.HumanModel(0.98, 0.7, 0.4, 0.5))
+    },
     "reconstruct": lambda: {"study": cases.study()},
     "run_campaign": lambda: {"parameters": tl.parameter_grid(n=[10, 100])},
     "run_condition": lambda: {"laps": 1},

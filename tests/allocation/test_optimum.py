@@ -75,7 +75,7 @@ def test_the_printed_models_are_certified(operators, name):
         assert bound == pytest.approx(f.max(), abs=0.06)
         assert r_star == pytest.approx(r[f.argmax()], abs=0.01)
     best = tl.optimal_allocation(tsc, weight, min_dwell=0.0)
-    assert (best.upper_bound, best.r_star) == (bound, r_star)
+    assert best.upper_bound == bound
     assert 0.0 <= best.gap < 0.1
 
 

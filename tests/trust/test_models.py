@@ -198,7 +198,7 @@ def test_filter_is_that_of_statsmodels(name):
     people = panel(2, seed=8, resolution=0.0)
     people.ratings[0, 3:5] = np.nan
     events = people.events._replace(seen=1.0 - people.events.mode)
-    people = tl.trust.Panel(people.people, events, people.ratings, people.resolution)
+    people = replace(people, events=events)
     sizes = {"process_sd": 0.07, "rating_sd": 0.09}
     faults = {"fault_now": -0.3, "fault_before": -0.1} if name == "series" else {}
     truth = MODELS[name](**TRUTH[name] | sizes | faults)
@@ -504,9 +504,10 @@ def latent(levels, seed, people=60):
         answers = np.clip(trust + rng.normal(0.0, 0.04, people), 0.0, 1.0)
         ratings.append(np.round(answers * levels) / levels)
     shape = people, 10
-    events = {name: np.full(shape, value) for name, value in tl.trust.Event()._asdict().items()}
-    signals = tl.trust.Event(**events | {"p_r": p})
-    return tl.trust.Panel(tuple(range(people)), signals, np.transpose(ratings), 1.0 / levels)
+    events = tl.trust.Event(*(np.full(shape, value) for value in tl.trust.Event()))
+    return tl.trust.Panel(
+        tuple(range(people)), events._replace(p_r=p), np.transpose(ratings), 1.0 / levels
+    )
 
 
 def test_noise_is_found_on_a_coarse_scale():

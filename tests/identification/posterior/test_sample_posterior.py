@@ -130,8 +130,7 @@ def test_a_log_drawn_again_has_the_stored_ranks(case, number):
 
 
 def test_a_long_log_agrees_with_its_fit():
-    pilot = tl.read_session("data/sessions/pilot.csv")
-    session = tl.Session(pilot.data.iloc[::4], pilot.metadata)
+    session = tl.read_session("data/sessions/pilot.csv")
     fit = tl.fit_tsc(session).table()
     posterior = tl.sample_posterior(session)
     table = posterior.table()
