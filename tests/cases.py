@@ -1,5 +1,6 @@
 """Small models, sessions, tables and graphs that tests share, each made once per process."""
 
+from dataclasses import replace
 from functools import cache
 
 import networkx as nx
@@ -46,9 +47,9 @@ def graph():
 
 @cache
 def log():
-    """The pilot log at one sample in two seconds, which is enough to fit models to."""
+    """The pilot log at one sample in five seconds, which is enough to fit models to."""
     pilot = tl.read_session("data/sessions/pilot.csv")
-    return tl.Session(pilot.data.iloc[::20], pilot.metadata)
+    return tl.Session(pilot.data.iloc[::50], pilot.metadata)
 
 
 @cache
@@ -78,8 +79,10 @@ def scores():
 
 @cache
 def panel():
-    """The first four people of a published study of trust."""
-    return tl.read_people("hybrid_vr").of(range(4))
+    """The first four people and events of a published study of trust."""
+    people = tl.read_people("hybrid_vr").of(range(4))
+    events = tl.trust.Event(*(signal[:, :4] for signal in people.events))
+    return replace(people, events=events, ratings=people.ratings[:, :5])
 
 
 @cache

@@ -59,6 +59,7 @@ class Call:
     arguments: dict
     folder: "Scratch"
     maker: "Call" = None  # makes the object whose method this is, new for every call
+    made: object = None  # what the good call gave
 
     @property
     def parameters(self):
@@ -212,8 +213,7 @@ def good_call(key, owner, name, documented, folder, **instance):
 
 def methods(call, documented, folder):
     """Yield the good calls of the public methods of an answer that take arguments."""
-    answer, _ = outcome(call)
-    kind = type(answer)
+    answer, kind = call.made, type(call.made)
     for name in dir(kind):
         key, method = f"{kind.__name__}.{name}", getattr(kind, name)
         ours = (getattr(method, "__module__", "") or "").startswith("trustlab")
@@ -290,6 +290,8 @@ def leaves(value, above=()):
         yield hash(value.read_bytes())
     elif isinstance(value, pd.Series | pd.Index):
         yield from leaves(value.to_numpy(), above)
+    elif isinstance(value, np.ndarray) and value.dtype.names:
+        yield from leaves({name: value[name] for name in value.dtype.names}, above)
     elif isinstance(value, Mapping | pd.DataFrame):
         for name, item in value.items():
             yield str(name)
@@ -402,10 +404,10 @@ def alternative(value, good):
 
 def faults(call):
     """Return the faults of a call by argument, as lines of text."""
-    good, error = outcome(call, COMPILED)
+    call.made, error = outcome(call, COMPILED)
     if error:
         return {"": [f"the good call raises {error!r}"]}
-    plain, has_nan = content(call, good)
+    plain, has_nan = content(call, call.made)
     function = not inspect.isclass(call.function)
     repeats = not function or content(call, outcome(call)[0])[0] == plain
     judged = function and repeats and plain not in ("[]", "[None]")

@@ -13,7 +13,7 @@ CHEAPER = {
     "choose_thresholds": lambda: {"points": 4},
     "compare_trust_models": lambda: {
         "panel": cases.panel(),
-        "models": ["running_mean", "persistence"],
+        "models": ["running_mean", "habit"],
         "folds": 2,
     },
     "feasibility": lambda: {"study": cases.study()},
@@ -22,10 +22,13 @@ CHEAPER = {
     "fit_transfer_function": lambda: dict(
         zip(["command", "velocity"], cases.response(), strict=True)
     ),
-    "fit_trust": lambda: {"panel": cases.panel()},
+    "fit_trust": lambda: {"panel": cases.panel(), "model": "performance"},
     "fit_tsc": lambda: {"sessions": cases.log()},
     "formula_model": lambda: {"data": cases.scores()},
     "invariant_bounds": lambda: {"cells": 64, "cycles": 20},
+    "optimal_allocation": lambda: {  # of somebody quick, so that cycles are short
+        "tsc": tl.TscModel(tl.RobotModel(0.95, 0.2, 0.4, 0.5), tl.HumanModel(0.98, 0.7, 0.4, 0.5))
+    },
     "reconstruct": lambda: {"study": cases.study()},
     "run_campaign": lambda: {"parameters": tl.parameter_grid(n=[10, 100])},
     "run_condition": lambda: {"laps": 1},
@@ -92,6 +95,7 @@ CALLS = {
     "HumanModel.simulate": lambda: {"mode": np.array([1.0, 0.0, 1.0])},
     "Panel.event": lambda: {"k": 0},
     "Panel.of": lambda: {"rows": [0, 1]},
+    "Posterior.table": dict,
     "PublishedStudy.pair": lambda: {"name": "A-B"},
     "RepeatedMeasures.pairs": dict,
     "RobotModel.simulate": lambda: {

@@ -204,19 +204,18 @@ def test_recording():
 
 def test_trust_scores():
     own = stored("trust_scores").query("people == 'hybrid_vr' and criterion == 'step'")
-    again = make.scored(tl.read_people("hybrid_vr"), "step", ["performance", "series"])
+    again = make.scored(tl.read_people("hybrid_vr"), "step", ["performance", "persistence"])
     both = again.merge(own, on=["split", "model", "measure"], suffixes=("", "_stored"))
     assert len(both) == 20
     # Optimisers leave digits open.
     np.testing.assert_allclose(both["mean"], both["mean_stored"], rtol=2e-3)
     np.testing.assert_allclose(both["difference"], both["difference_stored"], rtol=0.2, atol=1e-5)
-    names = {"hybrid_vr", "hybrid_real", "trust_transfer", "btm"}
-    assert names < set(stored("trust_scores")["people"])
+    assert {"hybrid_real", "trust_transfer", "btm"} < set(stored("trust_scores")["people"])
 
 
 def test_trust_residuals():
-    own = stored("trust_residuals").query("people == 'hybrid_real' and model == 'series'")
-    again = make.residuals(tl.read_people("hybrid_real"), "series")
+    own = stored("trust_residuals").query("people == 'hybrid_real' and model == 'performance'")
+    again = make.residuals(tl.read_people("hybrid_real"), "performance")
     assert list(again["person"]) == list(own["person"])
     np.testing.assert_allclose(again["residual"], own["residual"], atol=2e-3)
 

@@ -58,12 +58,12 @@ def noisy(sessions):
 @pytest.mark.parametrize("who", ["robot", "human"])
 @pytest.mark.parametrize(
     ("sessions", "least", "apart"),
-    [(60, 0.88, 0.25), pytest.param(400, 0.92, 0.1, marks=pytest.mark.long)],
+    [(40, 0.86, 0.3), pytest.param(400, 0.92, 0.1, marks=pytest.mark.long)],
 )
 def test_intervals_cover_the_truth(who, sessions, least, apart):
     """
-    95 % intervals cover the truth in 95 % of seeds, less 2.5 sd of that share (2.8 % and 1.1 %);
-    errors are as large as the standard errors say, but for 2.7 sd of so many (9 % and 3.5 %).
+    95 % intervals cover the truth in 95 % of seeds, less 2.5 sd of that share (3.4 % and 1.1 %);
+    errors are as large as the standard errors say, but for 2.7 sd of so many (11 % and 3.5 %).
     Those of β are smaller: r0 may lie at its bound, for which the intervals allow.
     """
     tables = [FITS[who](each).table() for each in noisy(sessions)]
@@ -106,7 +106,7 @@ def test_slow_noise_under_white_noise_is_seen(seeds):
     assert scores(tables["white"], beta)[0].std(ddof=0).item() > 2.5
 
 
-@pytest.mark.parametrize("seeds", [30, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seeds", [20, pytest.param(100, marks=pytest.mark.long)])
 @pytest.mark.parametrize("names", [["p_max"], ["a", "p_min", "b"]])
 def test_noise_of_the_measured_input_is_allowed_for(names, seeds):
     """
@@ -131,10 +131,9 @@ def test_no_utilization_near_an_end_explains_more(r0):
     """(2.6) bends at rest and at full load, so that a search may stop beside the optimum."""
     end = float(r0 > 0.5)
     options = {"noise": "white", "robust": False}
-    for name in ("pilot", "1"):
-        for seed in range(2):
-            log = session(abs(end - SWITCHING), seed=seed, model=MODELS[name], r0=r0)
-            best = tl.fit_human(log, **options)
-            for apart in (0.0, 1e-4, 1e-3, 3e-3, 0.01, 0.02):
-                held = tl.fit_human(log, fixed={"r0": abs(end - apart)}, **options)
-                assert len(log) * np.log(held.cost / best.cost) > -0.02, (name, seed, apart)
+    for seed, name in enumerate(("pilot", "1")):
+        log = session(abs(end - SWITCHING), seed=seed, model=MODELS[name], r0=r0)
+        best = tl.fit_human(log, **options)
+        for apart in (0.0, 1e-4, 1e-3, 3e-3, 0.01, 0.02):
+            held = tl.fit_human(log, fixed={"r0": abs(end - apart)}, **options)
+            assert len(log) * np.log(held.cost / best.cost) > -0.02, (name, apart)

@@ -176,13 +176,13 @@ def test_printed_model_is_recovered_without_noise(axis):
 def test_errors_are_as_large_as_the_standard_errors_say(axis):
     model, z = PRINTED_UAV[axis], []
     u, v = flight(axis, 7, count=1500)
-    for seed in range(20):
+    for seed in range(12):
         noisy = v + np.random.default_rng([52, seed]).normal(0.0, 0.05, v.size)
         table = fit_transfer_function(u, noisy, T, order=model.order, noise="white").table()
         z.append((table["value"] - [model.gain, *model.denominator]) / table["stderr"])
-    # Twenty leave a root mean square of one 16 % uncertain.
-    assert (np.mean(np.square(z), axis=0) ** 0.5 < 1.4).all()
-    assert 0.75 < np.mean(np.square(z)) ** 0.5 < 1.25
+    # Twelve leave a root mean square of one 20 % uncertain.
+    assert (np.mean(np.square(z), axis=0) ** 0.5 < 1.5).all()
+    assert 0.7 < np.mean(np.square(z)) ** 0.5 < 1.3
 
 
 def test_first_order_does_not_fit_a_second_order_axis():

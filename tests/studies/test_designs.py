@@ -58,12 +58,10 @@ def test_whole_assignments_are_balanced_in_position_and_carry_over(k, size, squa
 
 @given(st.integers(2, 8), st.integers(0, 1000))
 @settings(max_examples=30)
-def test_same_seed_same_design_and_more_participants_change_no_order(k, seed):
+def test_more_participants_change_no_order(k, seed):
     names = [f"C{i}" for i in range(k)]
     small = latin_square_design(names, SIZES[k], seed=seed)
-    again = latin_square_design(names, SIZES[k], seed=seed)
     large = latin_square_design(names, 3 * SIZES[k], seed=seed)
-    pd.testing.assert_frame_equal(small.orders(), again.orders())
     pd.testing.assert_frame_equal(small.table(), large.table().iloc[: SIZES[k]])
 
 

@@ -15,7 +15,7 @@ from trustlab.studies import Conditions, Simulation, StudyColumns, graded_covari
 from trustlab.studies.power import TESTS
 
 MEANS = [0.0, 0.1, 0.4, 0.5, 0.5]
-SMALL = Simulation(replicates=200, seed=3)
+SMALL = Simulation(replicates=100, seed=3)
 
 
 def noncentral_f(n, k, strength, alpha=0.05):
@@ -80,7 +80,7 @@ def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
     matrix, mean = graded_covariance(k, 0.4, 0.5, 1.0), np.linspace(0.0, 1.5, k)
     found = tl.power_analysis(mean, matrix, n=n, simulation=SMALL, claims=claims)
     rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(n,)))
-    scores = rng.standard_normal((200, n, k)) @ np.linalg.cholesky(matrix).T + mean
+    scores = rng.standard_normal((100, n, k)) @ np.linalg.cholesky(matrix).T + mean
     hits, together = 0, 0
     for study in scores:
         result = tl.repeated_measures(long(study, range(1, k + 1)), **COLUMNS)
@@ -88,10 +88,10 @@ def test_counts_are_those_of_repeated_measures_study_by_study(n, k):
         table = result.pairs().set_index(["a", "b"])
         right = (table["p_holm"] < 0.05) & (table["mean_difference"] < 0)  # means rise
         together += bool(right[(1, k)] and right[(2, k)] and result.p_gg < 0.05)
-    rows = found.table().set_index("test")["power"] * 200
+    rows = found.table().set_index("test")["power"] * 100
     assert rows.round().to_dict() == hits.to_dict()
     claimed = found.claims().set_index("adjust").loc["holm"]
-    assert (round(claimed["power"] * 200), claimed["claims"]) == (together, 2)
+    assert (round(claimed["power"] * 100), claimed["claims"]) == (together, 2)
 
 
 CELLS = pd.MultiIndex.from_product([["low", "high"], ["easy", "medium", "hard"]])
@@ -195,7 +195,7 @@ def test_a_plan_says_what_it_assumes():
         plan = planned({"C1": 2.0, "C3": 2.1}, data=PILOT.assign(synthetic=True))
     text = plan.apa()
     assert text.startswith(f"A sample of {plan.n} participants")
-    for words in ("200 simulated studies (seed 3)", "95% CI [", "C1 2 (", "that of synthetic data"):
+    for words in ("100 simulated studies (seed 3)", "95% CI [", "C1 2 (", "that of synthetic data"):
         assert words in text
     wide = tl.smallest_n(0.8, [0, 1], np.eye(2), simulation=Simulation(replicates=100, level=0.8))
     assert "80% CI [" in wide.apa()

@@ -34,9 +34,12 @@ def group(rng, kind, count, minutes):
     return sessions
 
 
+pytestmark = pytest.mark.xdist_group("population")  # one worker fits the people of all
+
+
 @pytest.fixture(scope="module")
 def people():
-    return tl.fit_population(group(np.random.default_rng(5), "slow", 3, 4.0), n=500)
+    return tl.fit_population(group(np.random.default_rng(5), "slow", 3, 3.0), n=500)
 
 
 # --- the Gibbs sampler ----------------------------------------------------------------------------

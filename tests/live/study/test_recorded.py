@@ -23,6 +23,8 @@ from trustlab.live.trial import Trial
 from trustlab.testbeds import published_operator
 from trustlab.testbeds.ground_robot.conditions import drive_modes
 
+pytestmark = pytest.mark.xdist_group("recorded")  # one worker rehearses the studies of all
+
 OWN_PAGE = """
 [hours]
 after = "consent"

@@ -28,6 +28,7 @@ from trustlab.reproduction.reconstruction.constraints import (
 from trustlab.reproduction.reconstruction.contradictions import contradictions
 
 STUDIES = tl.published_studies()
+SEARCH = "trustlab.reproduction.reconstruction.search"
 # For every other adjustment data are found; for these none are, from any start.
 NOT_FOUND = {
     "uav.robot_performance": ("holm", "none"),
@@ -151,7 +152,9 @@ def test_no_reading_of_true_data_is_called_a_contradiction():
         pytest.param(list(STUDIES), marks=pytest.mark.long, id="all"),
     ],
 )
-def test_the_printed_studies_are_consistent_with_bonferroni(names):
+def test_the_printed_studies_are_consistent_with_bonferroni(names, monkeypatch):
+    if len(names) == 2:
+        monkeypatch.setattr(f"{SEARCH}.STARTS", 12)
     for name in names:
         for p_adjust in ADJUSTMENTS:
             answer = tl.feasibility(STUDIES[name], p_adjust)
@@ -161,8 +164,9 @@ def test_the_printed_studies_are_consistent_with_bonferroni(names):
             assert (answer.conflict == ()) == found
 
 
-def test_a_paper_that_always_corrects_is_read_as_such():
+def test_a_paper_that_always_corrects_is_read_as_such(monkeypatch):
     """True data, printed with Greenhouse–Geisser degrees of freedom and no test of sphericity."""
+    monkeypatch.setattr(f"{SEARCH}.STARTS", 12)
     printed = {
         "n": 12,
         "mean": {"C1": "1.37", "C2": "1.01", "C3": "1.56"},
