@@ -215,10 +215,10 @@ def test_the_certificate_holds_between_its_utilizations(operators):
 
 
 @pytest.mark.slow
-def test_no_random_pattern_exceeds_the_certificate(random_model):
-    """200 models and patterns."""
+@pytest.mark.parametrize("count", [200, pytest.param(500, marks=pytest.mark.long)])
+def test_no_random_pattern_exceeds_the_certificate(random_model, count):
     rng = np.random.default_rng(11)
-    for _ in range(200):
+    for _ in range(count):
         tsc, _, _ = random_model(rng)
         weight, manual, autonomous = rng.random(), *rng.integers(1, 800, 2)
         mode = np.resize(np.repeat([1.0, 0.0], [manual, autonomous]), 200 * (manual + autonomous))
