@@ -224,14 +224,15 @@ def test_a_rule_without_a_name_is_needed_again_for_a_replay(node, tmp_path):
     assert again.run == named
 
 
-def test_cuts_leave_what_was_written_before(node, tmp_path):
+@pytest.mark.parametrize("cuts", [8, pytest.param(20, marks=pytest.mark.long)])
+def test_cuts_leave_what_was_written_before(node, tmp_path, cuts):
     run = RunSettings(MODEL, "C3", (-0.2, 0.3), settings=SHORT)
     allocation = driven(node, run, tmp_path / "a.mcap", 50)
     whole = allocation.core.session()
     allocation.recorder.close()
     content = (tmp_path / "a.jsonl").read_bytes()
     rng = np.random.default_rng(0)
-    for cut in rng.integers(len(content) // 5, len(content), 8):
+    for cut in rng.integers(len(content) // 5, len(content), cuts):
         (tmp_path / "cut.jsonl").write_bytes(content[:cut])
         result = read_run(tmp_path / "cut.jsonl")
         assert result.verified
