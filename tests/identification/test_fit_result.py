@@ -116,7 +116,8 @@ def test_plots_and_html_say_that_data_are_synthetic(fits):
     assert axes.shape == (2, 1)
     assert "synthetic" in axes[0, 0].get_title()
     assert residual_axes.shape == (2, 2)
-    assert "synthetic" in residual_axes[0, 0].figure.get_suptitle()
+    assert "99 % bands, synthetic" in residual_axes[0, 0].figure.get_suptitle()
+    assert residual_axes[0, 0].get_legend() is None  # which would cover residuals
     plt.close("all")
     html = fit._repr_html_()
     assert "synthetic data" in html

@@ -266,7 +266,7 @@ class FitResult(Result):
         numpy.ndarray of matplotlib.axes.Axes, shape (outputs, 2)
         """
         rows = len(self.outputs)
-        title = "residual correlations" + (", synthetic data" if self.synthetic else "")
+        title = "residual correlations, 99 % bands" + (", synthetic data" if self.synthetic else "")
         size = (8, 0.6 + 2.2 * rows)
         axes = axes_or_new(None, rows, 2, title, squeeze=False, figsize=size)
         for (auto, cross), name in zip(axes, self.outputs, strict=True):
@@ -274,14 +274,13 @@ class FitResult(Result):
             band = frame["band"].iloc[0]
             parts = (frame.loc[1:, "autocorrelation"], frame["cross_correlation"])
             for panel, part in zip((auto, cross), parts, strict=True):
-                panel.axhspan(-band, band, alpha=0.15, lw=0, label="99 % band")
+                panel.axhspan(-band, band, alpha=0.15, lw=0)
                 panel.vlines(part.index, 0.0, part)
                 panel.axhline(0.0, color="0.4", lw=0.8)
                 panel.set_xlabel("lag [samples]")
             auto.set_ylabel(f"residual of\n{LABELS.get(name, name)}")
             auto.set_title("autocorrelation", fontsize="small")
             cross.set_title(f"with {next(iter(self.runs[0].inputs))}", fontsize="small")
-        axes[0, 0].legend(fontsize="small")
         return axes
 
     @property
