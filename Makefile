@@ -59,11 +59,14 @@ reports: $(VENV)/.stamp  ## run what changed of the notebooks and write the book
 	  $(BIN)/python -m sphinx -q -W --keep-going -j auto -d reports/.build docs reports && exit $$done
 	@echo "the book: reports/index.html"
 
+# A path, spaces and all, as seen from any folder; make's own functions split it.
+absolute = "$(if $(filter /%,$(firstword $(1))),,$(CURDIR)/)$(1)"
+
 session: $(VENV)/.stamp  ## a page on a log of your own: make session FILE=run.csv RECIPE=my.toml (PARAMS="-p window 100")
 	@[ -n "$(FILE)" ] || { echo "which log? make session FILE=run.csv RECIPE=my.toml"; exit 1; }
 	@rm -f reports/my_session.html
 	$(BIN)/papermill --cwd notebooks notebooks/00_my_session.ipynb reports/my_session.ipynb \
-	  -p session_file "$(abspath $(FILE))" $(if $(RECIPE),-p recipe "$(abspath $(RECIPE))") $(PARAMS)
+	  -p session_file $(call absolute,$(FILE)) $(if $(RECIPE),-p recipe $(call absolute,$(RECIPE))) $(PARAMS)
 	$(BIN)/jupyter nbconvert --to html --template classic --no-input --embed-images --output my_session.html \
 	  --HTMLExporter.jquery_url= --HTMLExporter.require_js_url= --HTMLExporter.mathjax_url= reports/my_session.ipynb
 	@echo "the page: reports/my_session.html"

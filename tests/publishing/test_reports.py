@@ -9,6 +9,7 @@ import re
 import runpy
 import subprocess
 from itertools import combinations
+from pathlib import Path
 from types import SimpleNamespace
 
 import matplotlib as mpl
@@ -338,6 +339,32 @@ def test_every_notebook_refuses_parameters_it_lacks(path):
     parameters = {n.targets[0].id for n in ast.parse(code[0].source).body if hasattr(n, "targets")}
     names = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name))
     assert not parameters & {node.id for node in names if isinstance(node.ctx, ast.Store)}
+
+
+def test_parameters_of_the_page_on_ones_own_log_win_or_are_refused(tmp_path):
+    """A window was ignored where the log has one, minutes below 0; few draws blamed the log."""
+    pilot = tl.sessions.example("pilot")
+    log = tl.write_session(pilot.with_metadata(performance_window=5.0), tmp_path / "run.csv")
+    page = nbformat.read(NOTEBOOKS / "00_my_session.ipynb", 4).cells
+    code = [cell.source for cell in page if cell.cell_type == "code"]
+
+    def run(*cells, **parameters):
+        unseen = dict.fromkeys(("caption", "display", "Markdown"), lambda *_, **__: None)
+        names = {"tl": tl, "pd": pd, "Path": Path} | unseen
+        exec(code[0], names)
+        names |= {"session_file": log} | parameters
+        for cell in cells:
+            exec(code[cell], names)
+        return names["log"]
+
+    assert run(2) == tl.read_session(log)
+    assert run(2, window=100).metadata.more["performance_window"] == 100
+    assert run(2, window=0).metadata.more["performance_window"] == 0
+    assert run(2, minutes=2).duration == pytest.approx(120)
+    with pytest.raises(tl.SessionError, match="start first"):
+        run(2, minutes=-5)
+    with pytest.raises(ValueError, match="n must be a whole number, from 100"):
+        run(2, 5, draws=50)
 
 
 # --- diagrams -------------------------------------------------------------------------------------
