@@ -1,7 +1,6 @@
 """Performance measured from logs: (2.4), (2.7), (3.26)-(3.27), UAVs; tracking error of trials."""
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -252,11 +251,8 @@ def with_performance(
         )
         warn(f"{short}: every value is the mean of what there was so far")
     note = f"{equations}, window {window:g} s"
-    # The new means begin where the session does, also where older ones had been cut.
-    more = {**session.metadata.more, "performance": note, "performance_window": window}
-    more.pop("performance_cut", None)
     measured = session.with_columns(p_r=p_r, p_h=p_h)
-    return replace(measured, metadata=replace(session.metadata, more=more))
+    return measured.with_metadata(performance=note, performance_window=window)
 
 
 def _warn_of_idle_commands(session) -> None:
