@@ -390,8 +390,9 @@ class Reader:
             # "resampled" is what reading itself notes.
             close = get_close_matches(name, {*arguments, "resampled"}, n=1, cutoff=0.85)
             if arguments & {*close}:
-                fault = f"{name!r} looks like the argument {close[0]!r}, not like metadata"
-                raise ValueError(f"{fault}; correct it, or use another name")
+                raise ValueError(
+                    f"{name!r} looks like the argument {close[0]!r}, not like metadata; correct it"
+                )
         return [session.with_metadata(**more) for session in sessions] if more else sessions
 
     def _check_kind(self, kind: str) -> None:
@@ -491,20 +492,21 @@ MOST_PERFORMANCE = 10.0
 
 def likely_unit(first: float, step: float) -> str:
     """Return the unit of numbers that are times: by the first, if since 1970, or by their step."""
+    fitting = [unit for unit, (_, longest) in STEPS.items() if step < longest]
     for unit, (size, _) in STEPS.items():
-        # From 2001 to 2286; the step tells them from other units since some other day.
-        if 1e9 <= first / size < 1e10 and step / size < STEPS["s"][1]:
-            return unit
-    return next((unit for unit, (_, longest) in STEPS.items() if step < longest), "?")
+        # From 2001 to 2286; the step tells them from smaller units since another day.
+        if 1e9 <= first / size < 1e10 and step / size < 5.0:
+            fitting = [unit]
+    return [*fitting, "?"][0]
 
 
 def doubts(session: Session, notes: Mapping[str, Any], time: Any) -> list[str]:
     """Return what is hardly meant as it was read: times, performance, a line cut short."""
     words = []
     first, step = notes.get("start_time", session.t[0]), session.sample_time
-    if getattr(time, "unit", "iso") not in ("iso", "clock") and likely_unit(first, step) != "s":
-        size = time.seconds(1.0)
-        unit = likely_unit(first / size, step / size)
+    if time.unit in STEPS and likely_unit(first, step) != "s":
+        size = STEPS[time.unit][0]
+        unit = likely_unit(first * size, step * size)
         remedy = f'if its times are in {unit}, a recipe says so: [time] unit = "{unit}"'
         words.append(f"samples are {step:g} s apart, from {first:g} s on; {remedy}")
     for name in ("p_r", "p_h"):

@@ -414,6 +414,7 @@ class BagTime:
     repeated: Literal["first", "last", "mean"] | None = None
     sort: bool = False
     jumps: None = field(init=False, default=None)
+    unit: None = field(init=False, default=None)  # of bags it is known
 
     def of(self, topic: str) -> str:
         """Return "receive" or "header" for one topic."""

@@ -335,8 +335,9 @@ class Session(Result):
         cut = Session(part, self.metadata)
         # A window mean needs what lies before it: fits must know that these do not begin where the
         # averaging did.
-        averaged = "performance_window" in self.metadata.more and part.index[0] > self.data.index[0]
-        return cut.with_metadata(performance_cut=True) if averaged else cut
+        averaged = "performance_window" in self.metadata.more and {"p_r", "p_h"} & {*self.columns}
+        late = averaged and part.index[0] > self.data.index[0]
+        return cut.with_metadata(performance_cut=True) if late else cut
 
     def with_performance(
         self, window: float = 100.0, measure: str = "ground_robot", **scales: Any
