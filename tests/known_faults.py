@@ -236,7 +236,6 @@ KNOWN = {
     },
     "testbeds.plot_energies": {
         "session": "foreign errors",
-        "axes": "foreign errors",
     },
     "trust.parameter": {
         "default": "anything is taken",
