@@ -71,9 +71,16 @@ def test_conditions_may_be_pairs():
     assert {*design.orders()["condition"]} == {*conditions}
 
 
+def test_people_may_be_pairs_and_an_index_has_no_part_in_the_balance():
+    people = [("site", k) for k in range(2)]
+    orders = latin_square_design(["A", "B"], people, seed=3).orders()
+    assert orders["participant"].tolist() == [people[0]] * 2 + [people[1]] * 2
+    assert design_balance(orders.set_index("participant", drop=False)).balanced
+
+
 def test_an_order_without_a_label_is_refused():
     orders = latin_square_design(list("ABCD"), 4, seed=3).orders()
-    with pytest.raises(ValueError, match="column 'condition' has no label in row 2"):
+    with pytest.raises(ValueError, match="column 'condition' has nothing in row 2"):
         design_balance(orders.assign(condition=orders["condition"].where(orders.index != 2)))
 
 
@@ -148,7 +155,7 @@ def test_categories_that_do_not_occur_and_columns_named_twice():
     with pytest.raises(ValueError, match="columns must be different"):
         tl.order_effects(frame, "score", "position", "position")
     for argument in ("condition", "position"):
-        with pytest.raises(ValueError, match=f"^{argument}: column '{argument}' has no label"):
+        with pytest.raises(ValueError, match=f"^{argument}: column '{argument}' has nothing"):
             run(frame.assign(**{argument: frame[argument].where(frame.index != 2)}))
 
 

@@ -202,9 +202,9 @@ ALONE = np.where(np.arange(6)[:, None] % 3 == np.arange(3), 1.0 + np.arange(6)[:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        (EXACT, "dv or formula: the scores have no error variance"),
+        (EXACT, "dv or formula: the scores leave no error variance"),
         (np.where(np.arange(18).reshape(6, 3) == 7, np.nan, EXACT), "no error variance"),
-        (ALONE, "no error variance"),
+        (ALONE, "no error variance.* as where every subject has one score"),
         (EXACT[:2], "subject or groups: 2 groups with scores"),
     ],
 )
@@ -243,7 +243,7 @@ def test_a_missing_label_is_not_the_reference_level(kind):
     with pytest.raises(ValueError, match=r"data: 11 rows have a missing .* row 3 first"):
         tl.formula_model("score ~ mode", frame, groups="person")
     tl.formula_model("score ~ mode", frame.dropna(), groups="person")
-    with pytest.raises(ValueError, match="within: column 'mode' has no label in row 3"):
+    with pytest.raises(ValueError, match="within: column 'mode' has nothing in row 3"):
         tl.ordinal_model(frame, "rating", "mode", "person")
 
 
@@ -253,6 +253,31 @@ def test_an_infinite_number_is_named_whatever_its_column_is_called():
     frame["score"] = np.where(np.arange(36) == 4, np.inf, np.arange(36.0))
     with pytest.raises(ValueError, match="1 rows have a missing or infinite value, row 4 first"):
         tl.formula_model("y ~ score", frame, groups="person")
+
+
+@pytest.mark.parametrize("formula", ["y ~ a * b", "y ~ I(a**2)", "I(a * b) ~ y", "y ~ C(a)"])
+def test_numbers_of_any_type_are_numbers(formula):
+    """Products of small integers overflowed, and numbers in a column of objects were labels."""
+    a, b = np.random.default_rng(0).integers(40, 60, (2, 36))
+    frame = drawn(12).rename(columns={"score": "y"}).assign(a=a, b=b)
+    found = tl.formula_model(formula, frame.astype({"a": float}), groups="person")
+    for kind in ("int64", "uint8", "Int8", object):
+        same = tl.formula_model(formula, frame.astype({"a": kind, "b": kind}), groups="person")
+        pd.testing.assert_frame_equal(same.table(), found.table())
+        pd.testing.assert_frame_equal(same.coefficients_table(), found.coefficients_table())
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (drawn().assign(mode=pd.Timestamp("2026-01-01")), "^formula 'score ~ mode': "),
+        (pd.concat([drawn(), drawn()["mode"]], axis=1), "^data: 2 columns are named 'mode'"),
+        (drawn().replace({"score": {drawn()["score"][20]: np.nan}})[9:], "row 20 first"),
+    ],
+)
+def test_a_column_that_no_formula_takes_is_named(frame, message):
+    with pytest.raises(ValueError, match=message):
+        tl.formula_model("score ~ mode", frame, groups="person")
 
 
 @pytest.mark.parametrize("formula", ["~ mode", " ~ mode", "score", "a ~ b ~ c"])

@@ -228,6 +228,8 @@ def test_groups_and_sentences():
 @pytest.mark.parametrize(
     ("rating", "message"),
     [
+        ([1.0, np.inf] * 36, "dv: column 'rating' holds inf in row 1"),
+        ([1.0, np.nan] * 36, "dv: column 'rating' has nothing in row 1"),
         ("high", "neither numbers nor an ordered categorical"),
         (1, "has 1 different ratings, not 2 to 30"),
         (range(72), r"72 different ratings.*formula_model"),
@@ -307,8 +309,26 @@ def test_covariates_are_other_columns_than_the_rest():
     """The subject was taken for one, beside its random intercept; one name alone was spelt out."""
     frame = ratings().assign(trial=lambda f: f["trial"].map({"x": 0, "y": 1, "z": 2}))
     call = {"dv": "trust", "within": "mode", "subject": "person"}
-    for name in ("person", "mode", "trust"):
-        with pytest.raises(ValueError, match=r"covariates: column .* has another role"):
+    for name in ("person", "trust"):
+        with pytest.raises(ValueError, match="columns must be different for every argument"):
             tl.ordinal_model(frame, **call, covariates=[name])
+    for gap, message in ((np.nan, "has nothing in row 5"), ("y", "holds 'y' in row 5")):
+        other = frame.astype({"trial": object})
+        other.loc[5, "trial"] = gap
+        with pytest.raises(ValueError, match=f"covariates: column 'trial' {message}"):
+            tl.ordinal_model(other[3:], **call, covariates="trial")
     one, listed = (tl.ordinal_model(frame, **call, covariates=c) for c in ("trial", ["trial"]))
     pd.testing.assert_frame_equal(one.table(), listed.table())
+
+
+def test_names_and_levels_may_be_numbers():
+    """Columns that are called by numbers were not found, and pairs of levels were texts."""
+    names = {"trust": 0, "mode": 1, "trial": 2}
+    frame = ratings().replace({"mode": {"a": 1, "b": 2, "c": 10, "d": 20}})
+    frame = frame.assign(trial=frame["trial"].map({"x": 0, "y": 1, "z": 2}))
+    texts = tl.ordinal_model(frame, "trust", "mode", "person", covariates="trial")
+    found = tl.ordinal_model(frame.rename(columns=names), 0, 1, "person", covariates=2)
+    pd.testing.assert_frame_equal(found.pairs(), texts.pairs())
+    assert found.pairs()["b"].tolist() == [2, 10, 20, 10, 20, 20]
+    np.testing.assert_array_equal(found.probabilities(), texts.probabilities())
+    assert found.probabilities().columns[0] == 1

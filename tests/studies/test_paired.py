@@ -132,6 +132,16 @@ def test_shapiro_is_not_defined_beyond_five_thousand_subjects():
     assert np.isnan(run(a, b).shapiro_p)
 
 
+def test_small_differences_between_people_who_differ_are_not_rounded_away():
+    """Their mean was printed as 0, with the interval from −1 to 0."""
+    rng = np.random.default_rng(3)
+    a = rng.normal(500.0, 150.0, 20)
+    found = run(a, a + rng.normal(0.42, 0.2, 20))
+    ends = [f"{end:.2f}".replace("-", "−") for end in (found.ci_low, found.ci_high)]
+    mean = f"{found.mean_difference:.2f}".replace("-", "−")
+    assert f"mean difference {mean}, 95% CI [{', '.join(ends)}]" in found.apa()
+
+
 def test_the_sentence_judges_at_the_level_of_its_intervals():
     """It said "significant" at .05 beside a 99 % interval that has zero in it."""
     x = np.random.default_rng(0).normal(size=10)

@@ -234,7 +234,10 @@ def test_the_smallest_n_is_that_of_the_closed_form(chosen, test, closed):
     ("arguments", "message"),
     [
         ({"covariance": np.ones((3, 3))}, "positive definite; its least eigenvalue"),
-        ({"claims": [(1, 2), (2, 1)]}, r"claims must be different pairs \(a, b\) of \[1, 2, 3\]"),
+        ({"claims": [(1, 2), (2, 1)]}, r"claims: .* different pairs \(a, b\) of \[1, 2, 3\]"),
+        ({"claims": [(1, 2)], "mean": [1, 1, 2]}, r"claims: \[\(1, 2\)\] is no .* means differ"),
+        ({"mean": {"A": 0, "B": "1", "C": 2}}, "mean: column 'mean' holds '1' in row 'B'"),
+        ({"data": [1], "covariance": None}, "data must be of class DataFrame"),
         ({"mean": TWO_WAY.iloc[:-1], "columns": FACTORS}, r"no number for cell \('high', 'hard'\)"),
     ],
 )
@@ -326,3 +329,10 @@ def test_two_means_of_a_cell_are_refused():
     means = TWO_WAY.iloc[[0, 0, 2, 3, 4, 5]]
     with pytest.raises(ValueError, match=r"mean: cell \('low', 'easy'\) occurs twice"):
         tl.power_analysis(means, graded_covariance(6), columns=FACTORS, simulation=SMALL)
+
+
+def test_whole_numbers_may_be_floats():
+    """They passed the check, and the simulation failed."""
+    same = Simulation(replicates=200.0, seed=np.array(3))
+    found = [tl.power_analysis([0, 1], np.eye(2), n=5, simulation=s).table() for s in (SMALL, same)]
+    pd.testing.assert_frame_equal(*found)

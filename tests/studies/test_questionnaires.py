@@ -86,10 +86,10 @@ def test_any_fifteen_choices_are_accepted_and_the_scores_stay_in_range(picks, an
 
 def test_the_pair_without_a_choice_is_named():
     choices = choices_of([True] * 15)
-    lacking = r"subject 's' .* 14 rows, and none such for \[\('mental', 'temporal'\)\]"
+    lacking = r"subject 's' .* 14 rows, and not one for \[\('mental', 'temporal'\)\]"
     with pytest.raises(ValueError, match=lacking):
         tlx_weights(choices.drop(index=1))
-    with pytest.raises(ValueError, match="it has 16 rows"):
+    with pytest.raises(ValueError, match=r"16 rows, and not one for \[\('mental', 'physical'\)\]"):
         tlx_weights(pd.concat([choices, choices.iloc[:1]]))
 
 
@@ -109,7 +109,7 @@ def test_other_forms_are_stretched(tlx):
     [
         (0, "mental", 10**400, "column 'mental' holds 1000.* in row 0"),
         (2, "effort", -5, "effort of subject s2, M is -5, not on the scale"),
-        (3, "physical", None, "physical of subject s2, TMIG is nan, not on the scale"),
+        (3, "physical", None, "answers: column 'physical' has nothing in row 3"),
     ],
 )
 def test_bad_answers_are_named(tlx, row, column, value, words):
@@ -191,8 +191,9 @@ def test_scores_by_hand(questionnaire, answers, expected):
 
 
 def test_what_questionnaires_say_of_themselves():
-    with pytest.raises(ValueError, match=r"comfort of .* is 6, not on the scale"):
-        score(one_row(**SMALL | {"comfort": 6}), satisfaction_scale(5))
+    for step, words in ((1.0, " in steps of 1;"), (None, ";")):
+        with pytest.raises(ValueError, match=f"comfort of .* is 6, not on .* from 1 to 5{words}"):
+            score(one_row(**SMALL | {"comfort": 6}), replace(satisfaction_scale(5), step=step))
     # The questionnaire of the large studies has no invented items.
     asked = satisfaction_scale(7, items=3)
     assert asked.items == ("satisfaction_1", "satisfaction_2", "satisfaction_3")
@@ -219,6 +220,8 @@ def test_alpha_agrees_with_r(name):
 def test_items_without_an_alpha_are_refused():
     with pytest.raises(ValueError, match="sums that differ"):
         cronbach_alpha(pd.DataFrame({"a": [1, 2, 3], "b": [3, 2, 1]}))
+    with pytest.raises(ValueError, match="items: column 'b' has nothing in row 1"):
+        cronbach_alpha(pd.DataFrame({"a": [1, 2, 3], "b": [3, np.nan, 1]}))
 
 
 def test_two_items_of_one_name_are_refused():
@@ -228,11 +231,40 @@ def test_two_items_of_one_name_are_refused():
         cronbach_alpha(items)
 
 
-@pytest.mark.parametrize("name", ["ease_mean", "ease_sum", "subject"])
+@pytest.mark.parametrize("name", ["ease_mean", "ease_sum"])
 def test_a_subscale_named_like_another_column_is_refused(name):
     """It took the place of the score."""
     with pytest.raises(ValueError, match=f"subscales: '{name}' is another column of the scores"):
         Questionnaire("ease", ["a", "b"], 1, 5, subscales={name: ["a"]})
+
+
+PERSON = Questionnaire("e", ["a", "b"], 1, 5, subscales={"person": ["a"]})
+
+
+@pytest.mark.parametrize(
+    ("questionnaire", "more"),
+    [(PERSON, {}), (MOOD, {"condition": "person"}), (MOOD, {"subject": "a"})],
+)
+def test_no_column_has_two_roles(questionnaire, more):
+    """The errors were those of pandas, or an item was the subject."""
+    answers = one_row(a=5.0, b=5.0, c=5.0).assign(person=1)
+    with pytest.raises(ValueError, match="columns must be different for every argument"):
+        score(answers, questionnaire, **{"subject": "person"} | more)
+
+
+def test_weights_are_for_six_items():
+    load = replace(MOOD, task_load=True)
+    with pytest.raises(ValueError, match="weights are for six items of a task load index"):
+        score(one_row(a=5.0, b=5.0, c=5.0), load, weights=one_row(a=5, b=5, c=5))
+
+
+def test_choices_have_rows_and_an_index_has_no_part_in_them():
+    choices = choices_of([True] * 15)
+    pd.testing.assert_frame_equal(
+        tlx_weights(choices.set_index("subject", drop=False)), tlx_weights(choices)
+    )
+    with pytest.raises(ValueError, match="column 'subject' has no rows"):
+        tlx_weights(choices[:0])
 
 
 def test_weights_of_somebody_who_did_not_answer_are_refused(tlx):

@@ -337,7 +337,7 @@ TABLES = {
         table().drop(index=[3, 5]),
         "subject 'P2' has no score in condition 'C1', 'C3'.*listwise.*mixed_model",
     ),
-    "no subject": (put(np.nan, "person"), "subject: column 'person' has no label in row 7"),
+    "no subject": (put(np.nan, "person"), "subject: column 'person' has nothing in row 7"),
     "mixed labels": (put(3, "mode"), "mixes types of labels"),
     "one condition": (table().iloc[::3], "'mode' has one condition only"),
     "two subjects": (table(n=2), "2 complete subjects with scores in 'score'; at least three"),

@@ -185,7 +185,7 @@ def test_heads_name_the_level_of_intervals(tmp_path):
     assert r"95\% CI" not in text
 
 
-def test_every_head_names_the_level_of_its_intervals(fit):
+def test_every_head_names_the_level_of_its_intervals(fit, tmp_path):
     """They said 95 % whatever it was."""
     analysis = tl.repeated_measures(ONE, **PART)
     simulation = tl.studies.Simulation(replicates=100, level=0.8)
@@ -201,6 +201,7 @@ def test_every_head_names_the_level_of_its_intervals(fit):
         for table in of_level:
             assert f"{level}% CI low" in printed(table), table
             assert f"{level} % CI, from" in table_html(table)
+    assert r"at $\alpha$ = 0.05" in tl.report(plan).write(tmp_path / "n.tex").read_text()
     both = {name: tl.paired_t_test(ONE, **PART, confidence=name) for name in (0.8, 0.9)}
     (mixed,) = tl.report(both).tables.values()
     assert "CI low" in printed(mixed)

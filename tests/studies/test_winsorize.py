@@ -18,7 +18,7 @@ def of_values(x, **rule):
     x = np.asarray(x)
     cells = {"pid": np.arange(x.size), "error": x}
     other = pd.DataFrame(cells).assign(scheme="B", error=np.arange(x.size))
-    frame = pd.concat([pd.DataFrame(cells).assign(scheme="A"), other])
+    frame = pd.concat([pd.DataFrame(cells).assign(scheme="A"), other]).assign(synthetic=True)
     both = winsorize(frame, "error", "scheme", "pid", **rule)
     parts = {name: getattr(both, name).query("condition == 'A'") for name in ("changes", "limits")}
     return replace(both, **parts)
@@ -40,6 +40,7 @@ def test_rules_by_hand(rule, limits, changed):
     assert found.limits.loc[0, ["low", "high", "changed"]].tolist() == pytest.approx(expected)
     assert dict(found.changes[["subject", "new"]].to_numpy()) == pytest.approx(changed)
     assert "1 of 10 values was winsorized (A, subject" in found.apa()
+    assert found.apa().startswith("[synthetic data] 1 of")
     none = of_values([1, 2, 3], outside="iqr", k=1.5, to="next")
     assert "None of 3 values" in none.apa()
 
@@ -63,8 +64,10 @@ def test_order_is_kept_inner_values_are_not_touched(values, outside, to):
     np.testing.assert_array_equal(found.changes[["subject", "old", "new"]], changed)
 
 
-def test_two_rows_of_a_cell_are_refused():
+def test_two_rows_of_a_cell_and_two_roles_of_a_column_are_refused():
     """They counted twice, and moved the limits."""
     frame = pd.DataFrame({"pid": [1, 2, 3, 3], "scheme": "A", "error": [1.0, 2.0, 3.0, 3.0]})
     with pytest.raises(ValueError, match="more than one row for a cell, such as row 3; average"):
         winsorize(frame, "error", "scheme", "pid", outside="sd", k=2.0, to="limit")
+    with pytest.raises(ValueError, match="columns must be different for every argument"):
+        winsorize(frame, "pid", "scheme", "pid", outside="sd", k=2.0, to="limit")

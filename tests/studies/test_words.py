@@ -104,6 +104,9 @@ def test_pairs_have_the_interval_of_d_z():
     row = result.pairs().iloc[1]
     d, low, high = (apa_number(row[name]) for name in ("d_z", "d_z_low", "d_z_high"))
     assert f"d_z = {d}, 95% CI [{low}, {high}]" in result.apa()
+    assert "(N = 9, correction" in result.apa()
+    strict = tl.repeated_measures(long(scores), **COLUMNS, alpha=0.001)
+    assert "(N = 9, α = 0.001, correction" in strict.apa()
 
 
 def test_one_participant_and_several():

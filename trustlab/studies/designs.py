@@ -9,7 +9,7 @@ import pandas as pd
 
 from trustlab.models.checks import flag, of_class, spawned, warn, whole_number
 from trustlab.models.display import Result
-from trustlab.studies.table import label_column, labels_of
+from trustlab.studies.table import labels_of, roles_of
 
 
 def williams_square(n: int) -> np.ndarray:
@@ -135,11 +135,9 @@ def design_balance(
     True
     """
     of_class("orders", orders, pd.DataFrame)
-    columns = {"participant": participant, "position": position, "condition": condition}
-    for argument, name in columns.items():
-        label_column(orders, argument, name)
+    roles_of(orders, participant=[participant], position=[position], condition=[condition])
     labels = labels_of("condition", orders[condition].drop_duplicates(), 2)
-    rows = orders.sort_values(position)
+    rows = orders.reset_index(drop=True).sort_values(position)
     lists = rows.groupby(participant, sort=False)[[position, condition]].agg(list)
     for label, places, names in lists.itertuples():
         if {*names} != {*labels} or places != [*range(1, len(labels) + 1)]:
@@ -276,6 +274,6 @@ def latin_square_design(
         # The first k orders of a square for odd k are a Latin square by themselves: every
         # condition once at every position.
         order = np.r_[order[: n - k], [row for row in order[n - k :] if row < k]]
-    people = pd.Index(participants, name="participant")
+    people = pd.Index(participants, name="participant", tupleize_cols=False)
     positions = pd.RangeIndex(1, k + 1, name="position")
     return LatinSquareDesign(pd.DataFrame(square[order[:n]], people, positions), seed)

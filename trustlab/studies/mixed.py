@@ -24,6 +24,7 @@ from trustlab.studies.pairs import compared, estimates_of, level_pairs, standard
 from trustlab.studies.table import (
     Columns,
     Tested,
+    column_of,
     label_column,
     labelled,
     mark,
@@ -70,8 +71,8 @@ def intercept_fit(
     error = inside[:, -1] - inside[:, :-1] @ np.linalg.lstsq(inside[:, :-1], inside[:, -1])[0]
     if np.abs(error).max() <= 32.0 * np.finfo(float).eps * np.abs(y).max():
         raise ValueError(
-            "dv or formula: the scores have no error variance: each is its subject's level "
-            "plus its condition's"
+            "dv or formula: the scores leave no error variance: each is its subject's level "
+            "plus its condition's, as where every subject has one score"
         )
     free = y.size - restricted * x.shape[1]
 
@@ -389,19 +390,19 @@ def formula_model(formula: str, data: pd.DataFrame, groups: Hashable) -> Formula
             term  df
     0  condition   4
     """
-    frame = of_class("data", data, pd.DataFrame, "with a row per trial").reset_index(drop=True)
+    of_class("data", data, pd.DataFrame, "a table of pandas with a row per trial")
     score, *terms = of_class("formula", formula, str).split("~")
     if len(terms) != 1 or not score.strip():
         raise ValueError(f"formula must be “score ~ terms”, got {formula!r}")
-    people, names = pd.factorize(label_column(frame, "groups", groups))
-    y, regressors, columns = matrices_of(formula, frame)
+    people, names = pd.factorize(label_column(data, "groups", groups))
+    y, regressors, columns = matrices_of(formula, data)
     x = regressors.to_numpy()
     log_likelihood = cache(lambda kept: -0.5 * intercept_fit(y, x[:, kept], people).deviance)
     every = tuple(range(x.shape[1]))
     tests = likelihood_ratios(columns, every, log_likelihood)
     fit = intercept_fit(y, x, people, restricted=True)
     coefficients = estimates_of(fit.beta, np.sqrt(fit.residual * np.diag(fit.inverse)))
-    coefficients.insert(0, "name", regressors.columns)
+    coefficients.insert(0, "name", regressors.columns.str.replace(".0]", "]"))
     variances = {"Intercept": fit.ratio * fit.residual, "residual": fit.residual}
     return FormulaModel(
         title=f"A mixed model, {formula}, with random intercepts by {groups}",
@@ -420,8 +421,11 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
     from formulaic import model_matrix
     from formulaic.errors import FormulaicError
 
-    frame = frame.copy()
-    for name, column in frame.items():
+    rows, frame = frame.index, frame.reset_index(drop=True).infer_objects()
+    # Products of integers overflow.
+    frame = frame.astype(dict.fromkeys(frame.select_dtypes("number"), float))
+    for name in frame:
+        column = column_of(frame, "data", name)
         if isinstance(column.dtype, pd.CategoricalDtype):
             frame[name] = column.cat.remove_unused_categories()
         elif isinstance(column.dtype, pd.StringDtype):
@@ -429,7 +433,7 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
     try:
         # A missing label would be zeros, as if it were the reference level.
         matrices = model_matrix(formula, frame, na_action="drop")
-    except (FormulaicError, LookupError, ValueError) as error:
+    except (FormulaicError, LookupError, TypeError, ValueError) as error:
         said = re.sub(r"\x1b\[[\d;]*m", "", str(error))  # colours of a terminal
         raise ValueError(f"formula {formula!r}: {said} (columns are {[*frame]})") from None
     score, x = (pd.DataFrame(part, dtype=float) for part in (matrices.lhs, matrices.rhs))
@@ -439,8 +443,8 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
     whole = whole.reindex(frame.index, fill_value=False)
     if not whole.all():
         raise ValueError(
-            f"data: {(~whole).sum()} rows have a missing or infinite value, row {whole.idxmin()} "
-            "first; leave them out"
+            f"data: {(~whole).sum()} rows have a missing or infinite value, row "
+            f"{rows[whole.argmin()]} first; leave them out"
         )
     terms = matrices.rhs.model_spec.term_indices
     terms = {str(term): columns for term, columns in terms.items() if str(term) != "1"}

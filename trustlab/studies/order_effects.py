@@ -14,11 +14,11 @@ from trustlab.studies.pairs import compared, level_pairs
 from trustlab.studies.table import (
     Tested,
     complete_scores,
-    label_column,
     labelled,
     origin_of,
     read_cells,
     read_factors,
+    roles_of,
 )
 
 # Of a score, what rounding can change.
@@ -126,9 +126,8 @@ def order_effects(
     3                    carry_over    4   28
     4  condition_without_carry_over    4   32
     """
-    of_class("frame", frame, pd.DataFrame, "with a row per subject and position")
-    for argument, name in {"position": position, "condition": condition}.items():
-        label_column(frame, argument, name)
+    of_class("frame", frame, pd.DataFrame, "a table of pandas with a row per subject and position")
+    roles_of(frame, position=[position], condition=[condition])
     factors = [position, condition]
     table, levels, _ = read_factors(frame, dv, factors, subject, order={condition: order})
     labels, places = levels[condition], levels[position]

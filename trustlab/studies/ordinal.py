@@ -16,7 +16,7 @@ import pandas as pd
 from scipy import sparse, special
 from scipy.optimize import minimize
 
-from trustlab.models.checks import finite_array, whole_number
+from trustlab.models.checks import whole_number
 from trustlab.studies.anova import effect_name
 from trustlab.studies.mixed import (
     FormulaModel,
@@ -26,12 +26,14 @@ from trustlab.studies.mixed import (
 from trustlab.studies.pairs import estimates_of, holm, standard_errors
 from trustlab.studies.table import (
     Columns,
-    column_of,
     label_column,
     labelled,
+    labels_index,
     names_of,
+    numbers_of,
     origin_of,
     read_factors,
+    roles_of,
 )
 from trustlab.studies.words import apa_number, apa_p, interval
 
@@ -220,7 +222,8 @@ class OrdinalModel(FormulaModel):
             superiority (probability that the median person rates a above b, ties half).
         """
         x, point = self.cells.to_numpy(), self.coefficients["estimate"].to_numpy()
-        names = np.array([*map(effect_name, self.cells.index.to_frame().to_numpy())])
+        cells = self.cells.index
+        names = labels_index(map(effect_name, cells) if cells.nlevels > 1 else cells)
         a, b = np.triu_indices(len(names), 1)
         contrast = np.pad(x[a] - x[b], ((0, 0), (0, point.size - x.shape[1])))
         tests = estimates_of(contrast @ point, standard_errors(contrast, self.covariance))
@@ -307,16 +310,16 @@ def ordinal_model(
     n = len(people.categories)
     if n < 3:
         raise ValueError(f"subject: column {subject!r} has {n} people; at least 3 needed")
-    answers, categories = _categories(label_column(data, "dv", dv))
+    answers, categories = _categories(label_column(table, "dv", dv))
     factors, covariates = groups | inside, names_of(covariates)
+    roles_of(table, dv=[dv], factors=[*factors], subject=[subject], covariates=covariates)
     for name in covariates:
-        if name in (dv, subject, *factors):
-            raise ValueError(f"covariates: column {name!r} has another role already")
-        finite_array("covariates", column_of(data, "covariates", name))
+        numbers_of(table[name], "covariates")
     crossed = " * ".join(f"`{name}`" for name in factors)
     formula = " + ".join([f"`{dv}` ~ {crossed}", *(f"`{name}`" for name in covariates)])
     data[dv] = answers
-    _, regressors, terms = matrices_of(formula, data)
+    used = data[[dv, *factors, *covariates]].rename(columns=str)
+    _, regressors, terms = matrices_of(formula, used)
     x = regressors.to_numpy()
     # Thresholds take the place of the intercept, the first column.
     every = tuple(range(1, x.shape[1]))
@@ -331,8 +334,8 @@ def ordinal_model(
     tests = likelihood_ratios(terms, every, log_likelihood)
     effects = regressors.columns[1:]
     cells = regressors[effects].groupby([data[name] for name in factors], observed=True).mean()
-    for name in covariates:
-        cells[regressors.columns[terms[name]]] = x[:, terms[name]].mean(axis=0)
+    for name in map(str, covariates):
+        cells[name] = regressors[name].mean()
     point = maximum(every)
     covariance = model.covariance(point, x[:, every])
     coefficients = estimates_of(point[:-1], np.sqrt(np.diag(covariance)))
@@ -358,11 +361,13 @@ def ordinal_model(
 def _categories(column: pd.Series) -> tuple[np.ndarray, list]:
     """Return the number of every answer's category, and the categories that occur, ascending."""
     ordered = isinstance(column.dtype, pd.CategoricalDtype) and column.cat.ordered
-    if not ordered and not pd.api.types.is_numeric_dtype(column):
-        raise ValueError(
-            f"dv: column {column.name!r} is neither numbers nor an ordered categorical; "
-            "pandas.Categorical(…, [lowest, …, highest], ordered=True) makes one"
-        )
+    if not ordered:
+        if not pd.api.types.is_numeric_dtype(column):
+            raise ValueError(
+                f"dv: column {column.name!r} is neither numbers nor an ordered categorical; "
+                "pandas.Categorical(…, [lowest, …, highest], ordered=True) makes one"
+            )
+        numbers_of(column.astype(float), "dv")
     codes, categories = pd.factorize(column, sort=True)
     if not 2 <= len(categories) <= MOST_CATEGORIES:
         raise ValueError(

@@ -25,7 +25,7 @@ class PairedTTest(Tested):
     mean over the standard deviation of the differences, with its interval d_z_low, d_z_high, which
     inverts the noncentral t distribution, exact to four digits; d_av, over the mean of both
     standard deviations; correlation of a and b, NaN if one of them is constant; shapiro_w and
-    shapiro_p, Shapiro and Wilk's test of the differences.
+    shapiro_p, Shapiro and Wilk's test of the differences, NaN for more than 5,000 subjects.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from trustlab.models.checks import (
 )
 from trustlab.studies.anova import Design
 from trustlab.studies.repeated_measures import repeated_measures
-from trustlab.studies.table import Levels, cells_of, labels_of, names_of
+from trustlab.studies.table import Levels, cells_of, labels_of, names_of, numbers_of
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def graded_covariance(
     if not (possible and -1.0 / d < rho < 1.0):
         raise ValueError(
             f"correlation = {rho:g}, epsilon = {eps:g}: {d + 1} conditions have a correlation "
-            f"between {-1.0 / d:.4g} and 1, and an ε above {1.0 / d:.4g} up to 1"
+            f"between {-1.0 / d:.4g} and 1, and an ε above {1.0 / d:.4g} up to 1 (1 for two)"
         )
 
     steps = np.arange(d)
@@ -152,7 +152,8 @@ class Conditions:
         if asymmetry > 1e-8 * greatest or least <= 1e-12 * greatest:
             raise ValueError(
                 f"covariance must be symmetric and positive definite; its least eigenvalue is "
-                f"{least:.6g}, the greatest {greatest:.6g}"
+                f"{least:.6g}, the greatest {greatest:.6g} (a pilot study needs more people than "
+                "conditions)"
             )
         within = self.within or {"condition": labels}
         self.__dict__.update(labels=labels, mean=mean, covariance=covariance, within=within)
@@ -259,7 +260,8 @@ def population_of(
         values = finite_array("mean", mean)
         same = len(known) == len(values)
         mean = pd.Series(values, known if same else range(1, len(values) + 1))
-    means = pd.Series(mean, dtype=float)
+    means = pd.Series(mean, dtype=object, name="mean")
+    means = pd.Series(numbers_of(means, "mean"), means.index)
     # Of one factor a label may be a tuple, which an index takes for labels of several.
     levels: Levels = {factors[0]: (*means.index,)}
     between: Levels = {}
@@ -298,6 +300,7 @@ def population_of(
 
 def _pilot(data: pd.DataFrame, columns: StudyColumns) -> tuple[pd.Series, pd.DataFrame, str]:
     """Return means, covariance given the groups, and origin of the scores of a pilot study."""
+    of_class("data", data, pd.DataFrame, "a table of pandas with a row per person and condition")
     roles = (columns.dv, columns.within, columns.subject)
     pilot = repeated_measures(data, *roles, between=columns.between, order=columns.order)
     cells = pilot.scores.columns

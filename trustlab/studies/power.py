@@ -21,8 +21,10 @@ from trustlab.models.checks import (
     of_class,
     one_of,
     open_unit,
+    set_checked,
     shown,
     whole_number,
+    whole_seed,
 )
 from trustlab.models.display import axes_or_new
 from trustlab.studies.anova import effect_name, effects, orthonormal_contrasts, regress
@@ -84,10 +86,9 @@ class Simulation:
     level: float = 0.95
 
     def __post_init__(self):
-        open_unit("alpha", self.alpha)
-        open_unit("level", self.level)
-        whole_number("replicates", self.replicates, least=100, most=10_000_000)
-        whole_number("seed", self.seed, least=0)
+        set_checked(self, open_unit, "alpha", "level")
+        replicates = whole_number("replicates", self.replicates, least=100, most=10_000_000)
+        self.__dict__.update(replicates=replicates, seed=whole_seed(self.seed))
 
 
 USUAL_SIMULATION = Simulation()
@@ -197,19 +198,21 @@ def exact_tests(population: Conditions, n: int, alpha: float) -> pd.DataFrame:
     )
 
 
-def claims_mask(claims: Any, population: Conditions) -> np.ndarray | None:
+def claims_mask(argument: str, claims: Any, population: Conditions) -> np.ndarray | None:
     """Return which pairs are claimed, over all pairs a < b; None without claims."""
     if claims is None:
         return None
     given = claims if isinstance(claims, list | tuple) else [claims]
     claimed = [tuple(pair) for pair in given if isinstance(pair, list | tuple)]
-    pairs = combinations(population.labels, 2)
-    mask = np.array([(a, b) in claimed or (b, a) in claimed for a, b in pairs])
-    if not 0 < len(given) == mask.sum():
+    pairs = combinations(zip(population.labels, population.mean, strict=True), 2)
+    # Between equal means there is no direction.
+    mask = [m != n and ((a, b) in claimed or (b, a) in claimed) for (a, m), (b, n) in pairs]
+    if not 0 < len(given) == sum(mask):
         raise ValueError(
-            f"claims must be different pairs (a, b) of {[*population.labels]}, got {shown(claims)}"
+            f"{argument}: {shown(claims)} is no list of different pairs (a, b) of "
+            f"{[*population.labels]} whose means differ"
         )
-    return mask
+    return np.array(mask)
 
 
 # --- power ----------------------------------------------------------------------------------------
@@ -380,7 +383,7 @@ def power_analysis(
     options = (effect_size, epsilon, claims)
     if len(factors_of(columns)) > 1 and any(option is not None for option in options):
         raise ValueError("effect_size, epsilon and claims are for one factor; leave them out")
-    mask = claims_mask(claims, population)
+    mask = claims_mask("claims", claims, population)
     # None, a text or a dict are one value, which is refused where it is used.
     grid: Any = [value if np.ndim(value) else [value] for value in (n, effect_size, epsilon)]
     rows, together = [], []
@@ -526,7 +529,7 @@ def smallest_n(
         population = population.with_effect(effect_size)
     target = open_unit("power", power)
     most = whole_number("most", most, least=3, most=MOST_N)
-    mask = None if pair is None else claims_mask([pair], population)
+    mask = None if pair is None else claims_mask("pair", [pair], population)
     usual, tests = (USUAL_TEST, TESTS) if pair is None else ("holm", ADJUSTMENTS)
     test = one_of("test", usual if test is None else test, tests)
     effect, name = effect_name(population.within), "F"

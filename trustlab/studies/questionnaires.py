@@ -1,6 +1,7 @@
 """Questionnaires as data, the scores of their answers, and how reliable these are."""
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any
@@ -19,12 +20,12 @@ from trustlab.models.checks import (
 from trustlab.models.display import Result
 from trustlab.studies.table import (
     Tested,
-    column_of,
     label_column,
     labelled,
     labels_of,
     numbers_of,
     origin_of,
+    roles_of,
 )
 
 
@@ -95,7 +96,7 @@ class Questionnaire:
             if unknown := {*labels_of(name, part, name in self.subscales)} - {*items}:
                 raise ValueError(f"{name}: {unknown.pop()!r} is none of the items {items}")
         own = {f"{self.name}_{kind}" for kind in ("mean", "sum", "raw", "weighted")}
-        for name in {*self.subscales} & {*own, "subject", "condition"}:
+        for name in {*self.subscales} & own:
             raise ValueError(f"subscales: {name!r} is another column of the scores; rename it")
         low, high = in_order("low", self.low, "high", self.high)
         steps = 1.0 if self.step is None else (high - low) / positive("step", self.step)
@@ -298,9 +299,10 @@ def score(
     for i, j in np.argwhere(~on.to_numpy()):
         raise ValueError(
             f"answers: {table.columns[j]} of subject {_words(table.index[i])} is "
-            f"{table.iloc[i, j]:g}, not on the scale from {low:g} to {high:g} in steps of {step}; "
-            "correct it from the records, or leave the subject out; if the form had another scale, "
-            "score by dataclasses.replace(questionnaire, low=…, high=…, step=…)"
+            f"{table.iloc[i, j]:g}, not on the scale from {low:g} to {high:g}"
+            f"{f' in steps of {step:g}' if step else ''}; correct it from the records, or leave "
+            "the subject out; if the form had another scale, score by "
+            "dataclasses.replace(questionnaire, low=…, high=…, step=…)"
         )
     name, ends, kind = questionnaire.name, low + high, "mean"
     if questionnaire.task_load:
@@ -313,8 +315,8 @@ def score(
     if not questionnaire.task_load:
         scores[f"{name}_sum"] = whole.sum(axis=1)
     if weights is not None:
-        if not questionnaire.task_load:
-            raise ValueError(f"weights: the items of {name!r} are not weighted")
+        if not questionnaire.task_load or len(whole.columns) != 6:
+            raise ValueError(f"weights are for six items of a task load index, not for {name!r}")
         w = _read("weights", weights, questionnaire.items, subject, None)
         w.index, people = (frame.index.get_level_values(0) for frame in (w, whole))
         if strangers := [*w.index.difference(people)]:
@@ -326,10 +328,12 @@ def score(
         for row in w.index[~(possible & w.isin(range(6)).all(axis=1))]:
             raise ValueError(
                 f"weights: {w.loc[row].tolist()} of subject {_words(row)} are not those of fifteen "
-                "choices between pairs: six whole numbers from 0 to 5 with the sum 15 (nan where "
-                "there are none)"
+                "choices between pairs: six whole numbers from 0 to 5 with the sum 15 (nan: the "
+                "subject has none)"
             )
         scores[f"{name}_weighted"] = (w * whole).sum(axis=1) / w.sum(axis=1)
+    for part in {*scores} & {*whole.index.names}:
+        raise ValueError(f"subscales: {part!r} is another column of the answers; rename it")
     result = labelled(pd.DataFrame(scores).reset_index(), origin_of(answers))
     return ScaleScores(questionnaire, result, coded)
 
@@ -344,20 +348,16 @@ def _read(
 ) -> pd.DataFrame:
     """Return a column of numbers per item; subject and condition are the index."""
     of_class(argument, frame, pd.DataFrame)
-    keys = {"subject": subject} | ({} if condition is None else {"condition": condition})
-    index = pd.MultiIndex.from_arrays([label_column(frame, *key) for key in keys.items()])
-    if frame.empty or index.has_duplicates:
+    named = [] if condition is None else [condition]
+    roles_of(frame, subject=[subject], condition=named, **{argument: [*items]})
+    index = pd.MultiIndex.from_arrays([frame[name] for name in (subject, *named)])
+    if index.has_duplicates:
         raise ValueError(
             f"{argument} must have one row per subject, or per subject and condition= if there are "
             f"several; it has {len(frame)} rows, repeated: {[*index[index.duplicated()]][:5]}"
         )
-    return _numbers(argument, frame, items).set_axis(index)
-
-
-def _numbers(argument: str, frame: pd.DataFrame, items: Iterable[Hashable]) -> pd.DataFrame:
-    """Return the columns of items as floats, NaN where they have nothing."""
-    columns = {item: numbers_of(column_of(frame, argument, item), argument) for item in items}
-    return pd.DataFrame(columns)
+    numbers = {item: numbers_of(frame[item], argument) for item in items}
+    return pd.DataFrame(numbers).set_axis(index)
 
 
 def tlx_weights(
@@ -390,18 +390,16 @@ def tlx_weights(
         Naming the subject whose choices are not one for each pair, or lie outside the pair.
     """
     of_class("choices", choices, pd.DataFrame)
-    columns = {"subject": subject, "first": first, "second": second, "chosen": chosen}
-    for argument, name in columns.items():
-        label_column(choices, argument, name)
+    roles_of(choices, subject=[subject], first=[first], second=[second], chosen=[chosen])
     items, rows = NASA_TLX.items, []
-    for label, part in choices.groupby(subject, sort=False):
+    for label, part in choices.groupby(choices[subject], sort=False):
         triples = part[[first, second, chosen]].itertuples(index=False)
-        picks = {frozenset(pair): pick for *pair, pick in triples}
-        wrong = [pair for pair in combinations(items, 2) if picks.get(frozenset(pair)) not in pair]
+        picks = Counter(frozenset(pair) for *pair, pick in triples if pick in pair)
+        wrong = [pair for pair in combinations(items, 2) if picks[frozenset(pair)] != 1]
         if wrong or len(part) > 15:
             raise ValueError(
                 f"chosen: subject {label!r} must have one row for each pair of {items}, with one "
-                f"of the two; it has {len(part)} rows, and none such for {wrong}"
+                f"of the two; it has {len(part)} rows, and not one for {wrong}"
             )
         wins = part[chosen].value_counts().reindex(items, fill_value=0)
         rows.append({subject: label, **wins})
@@ -467,13 +465,18 @@ def cronbach_alpha(items: pd.DataFrame) -> Reliability:
     >>> round(tl.cronbach_alpha(items).alpha, 3)
     0.946
     """
-    of_class("items", items, pd.DataFrame, "give a column per item")
-    origin, items = origin_of(items), _numbers("items", items, items)
+    of_class("items", items, pd.DataFrame, "a table of pandas with a column per item")
+    origin, items = (
+        origin_of(items),
+        pd.DataFrame(
+            {item: numbers_of(label_column(items, "items", item), "items") for item in items}
+        ),
+    )
     row = _alpha(items)
     if np.isnan(row["alpha"]):
         raise ValueError(
-            "items: alpha needs two items or more of three subjects, no gaps, sums that differ; "
-            f"got a table of shape {items.shape}"
+            "items: alpha needs two items or more of three subjects, and sums that differ; got "
+            f"a table of shape {items.shape}"
         )
     rest = {name: _alpha(items.drop(columns=name))["alpha"] for name in items}
     table = labelled(pd.DataFrame([row]), origin)

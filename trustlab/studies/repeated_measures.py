@@ -210,7 +210,10 @@ class RepeatedMeasures(Tested):
         return errors.T @ errors / self.design.df_error
 
     def normality(self) -> pd.DataFrame:
-        """Return the Shapiro–Wilk test of every pair's differences: columns a b W p."""
+        """
+        Return the Shapiro–Wilk test of every pair's differences: columns a b W p, NaN for more than
+        5,000 subjects.
+        """
         self._refuse_several_factors("normality()")
         return labelled(pairs.of_pairs(self.scores, pairs.normality), self.origin)
 

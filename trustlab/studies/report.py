@@ -22,7 +22,8 @@ from trustlab.studies.words import apa_number, in_words, left_out, printed
 # What LaTeX has no letter for, or would misread; longer signs first.
 _LATEX = {"ηp²": r"$\eta_p^2$", "ηG²": r"$\eta_G^2$", "d_z": "$d_z$", "²": "$^2$", "−": "$-$"}
 _LATEX |= {"±": r"$\pm$", "≥": r"$\geq$", "×": r"$\times$", "η": r"$\eta$", "χ": r"$\chi$"}
-_LATEX |= {"ε": r"$\varepsilon$", "τ": r"$\tau$", "β": r"$\beta$", "–": "--"}
+_LATEX |= {"ε": r"$\varepsilon$", "τ": r"$\tau$", "α": r"$\alpha$", "β": r"$\beta$"}
+_LATEX |= {"–": "--", "≤": r"$\leq$"}
 _LATEX |= {"<": "$<$", ">": "$>$", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 _LATEX |= {"\\": r"\textbackslash "} | {sign: f"\\{sign}" for sign in "&%$#_{}"}
 # What is printed of an analysis of variance.

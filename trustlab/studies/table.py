@@ -36,29 +36,30 @@ def column_of(frame: pd.DataFrame, argument: str, name: Hashable) -> pd.Series:
 
 
 def label_column(frame: pd.DataFrame, argument: str, name: Hashable) -> pd.Series:
-    """Return a column of labels; one that is missing, or can be none, is refused with its row."""
+    """Return a column that has rows, each with a label; the row without one is named."""
     column = column_of(frame, argument, name)
+    if column.empty:
+        raise ValueError(f"{argument}: column {name!r} has no rows")
     for row, label in column.items():
         if not isinstance(label, Hashable):
             raise ValueError(f"{argument}: {shown(label)} in row {row!r} of {name!r} is no label")
     for row in column.index[column.isna()]:
-        raise ValueError(f"{argument}: column {name!r} has no label in row {row!r}")
+        raise ValueError(f"{argument}: column {name!r} has nothing in row {row!r}")
     return column
 
 
 def numbers_of(column: pd.Series, argument: str) -> np.ndarray:
     """Return a column as floats, NaN where it has nothing; what is no number is refused."""
     numbers = np.full(len(column), np.nan)
-    for place, value in enumerate(column.tolist()):
+    for place, (row, value) in enumerate(column.items()):
         if pd.api.types.is_scalar(value) and pd.isna(value):
             continue
         try:
             numbers[place] = finite_number(argument, value)
         except ValueError:
             raise ValueError(
-                f"{argument}: column {column.name!r} holds {shown(value)} in row "
-                f"{column.index[place]!r}; it must hold finite numbers (pandas.to_numeric converts "
-                "text, astype(float) truth values)"
+                f"{argument}: column {column.name!r} holds {shown(value)} in row {row!r}; it must "
+                "hold finite numbers (pandas.to_numeric converts text, astype(float) truth values)"
             ) from None
     return numbers
 
@@ -190,6 +191,21 @@ def names_of(names: Columns) -> list[Hashable]:
     return [] if names is None else [names]
 
 
+def roles_of(frame: pd.DataFrame, **columns: list) -> dict[Hashable, str]:
+    """
+    Return the argument that names each column; a column with two is refused, and so is one that
+    lacks a label (of dv it is a score that is missing).
+    """
+    roles: dict[Hashable, str] = {}
+    for argument, names in columns.items():
+        for name in names:
+            (column_of if argument == "dv" else label_column)(frame, argument, name)
+            if name in roles:
+                raise ValueError(f"columns must be different for every argument: {columns}")
+            roles[name] = argument
+    return roles
+
+
 def read_factors(
     frame: pd.DataFrame,
     dv: Hashable,
@@ -204,25 +220,13 @@ def read_factors(
     within and between subjects. `order` has the levels of a single factor (that within), or of
     several by name.
     """
-    of_class("frame", frame, pd.DataFrame, "with a row per subject and condition")
+    of_class("frame", frame, pd.DataFrame, "a table of pandas with a row per subject and condition")
     within, between, covariates = map(names_of, (within, between, covariates))
     factors = within + between
-    if not factors or frame.empty:
-        raise ValueError("within and between name no factor, or frame has no rows")
-    columns = {
-        "dv": [dv],
-        "within": within,
-        "between": between,
-        "covariates": covariates,
-        "subject": [subject],
-    }
-    arguments = {}
-    for argument, names in columns.items():
-        for name in names:
-            (column_of if argument == "dv" else label_column)(frame, argument, name)
-            arguments[name] = argument
-    if len(arguments) < 2 + len(factors) + len(covariates):
-        raise ValueError(f"columns must be different for every argument: {columns}")
+    if not factors:
+        raise ValueError("within and between name no factor")
+    columns = {"dv": [dv], "within": within, "between": between, "covariates": covariates}
+    arguments = roles_of(frame, **columns, subject=[subject])
     if order is not None and not isinstance(order, dict):
         single = len(within or between) == 1
         order = {factors[0]: order} if single else of_class("order", order, dict)

@@ -10,13 +10,13 @@ from scipy import stats
 from trustlab.models.checks import of_class, one_of, positive
 from trustlab.models.display import Result
 from trustlab.studies.table import (
-    column_of,
-    label_column,
     labelled,
     levels_of,
+    mark,
     numbers_of,
     one_row_a_cell,
     origin_of,
+    roles_of,
 )
 
 # Which values count as outlying: words for the rule and its k; the middle, or two, and the spread.
@@ -71,16 +71,16 @@ class Winsorized(Result):
         """
         Return the sentence for a paper: how many values were changed, of whom, and by which rule.
         """
-        total = int(self.limits["n"].sum())
+        total, origin = int(self.limits["n"].sum()), mark(self.changes.attrs.get("origin", ""))
         if self.changes.empty:
-            return f"None of {total} values was winsorized (rule: {self.rule})."
+            return f"{origin}None of {total} values was winsorized (rule: {self.rule})."
         parts = []
         for condition, rows in self.changes.groupby("condition", sort=False):
             parts.append(f"{condition}, subject {', '.join(map(str, rows['subject']))}")
         verb = "was" if len(self.changes) == 1 else "were"
         return (
-            f"{len(self.changes)} of {total} values {verb} winsorized ({'; '.join(parts)}). "
-            f"Rule: {self.rule}."
+            f"{origin}{len(self.changes)} of {total} values {verb} winsorized "
+            f"({'; '.join(parts)}). Rule: {self.rule}."
         )
 
 
@@ -141,10 +141,9 @@ def winsorize(
     words, middle_and_spread = _RULES[one_of("outside", outside, _RULES)]
     one_of("to", to, _TARGETS)
     k = positive("k", k)
-    of_class("data", data, pd.DataFrame, "with a row per subject and condition")
-    people = label_column(data, "subject", subject)
-    scores = numbers_of(column_of(data, "dv", dv), "dv")
-    conditions = label_column(data, "within", within)
+    of_class("data", data, pd.DataFrame, "a table of pandas with a row per subject and condition")
+    roles_of(data, dv=[dv], within=[within], subject=[subject])
+    people, scores, conditions = data[subject], numbers_of(data[dv], "dv"), data[within]
     one_row_a_cell(data, [subject, within], dv)
     changes, limits = [], []
     for condition in levels_of(conditions, "within"):
@@ -165,8 +164,6 @@ def winsorize(
         changes.append(pd.DataFrame(moves).query("old != new"))
         limits.append((condition, old.size, low, high, len(changes[-1])))
         scores[rows] = new
-    if not changes:
-        raise ValueError("data has no rows")
     result = data.copy()
     result[dv] = scores
     return Winsorized(

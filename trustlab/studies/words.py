@@ -217,7 +217,7 @@ def apa_report(result: Any, adjust: str = "holm") -> str:
     effects = "; ".join(effect_text(row, "_corrected", result.alpha) for row in rows)
     text = (
         f"{mark(result.origin)}A {size} {kind} ANOVA of {result.dv}{beside * bool(names)} (N = "
-        f"{result.n}"
+        f"{result.n}{f', α = {result.alpha:g}' * (result.alpha != 0.05)}"
         f"{', correction of degrees of freedom: ' * corrected}{rule}): {effects}."
     )
     if not result.one_way:
@@ -271,7 +271,7 @@ def apa_pair(result: Any) -> str:
     """Return a paired t-test as a sentence."""
     analysis, stats = result.analysis, result.descriptives()
     a, b = condition_means(stats)
-    digits = decimals_of(stats["sd"], 3)
+    digits = decimals_of((result.ci_high - result.ci_low) / 2.0, 2, 2)
     alpha = round(1.0 - result.confidence, 12)
     verb = "differed significantly" if result.p < alpha else "did not differ significantly"
     at = "" if alpha == 0.05 else f" (α = {alpha:g})"
