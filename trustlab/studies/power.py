@@ -353,7 +353,8 @@ def power_analysis(
     epsilon : float or sequence of float, optional
         Replaces the covariance by `graded_covariance` of the same mean variance and correlation.
     claims : sequence of (a, b), optional
-        Pairs that must be found together with F, in the direction of the population's difference.
+        Pairs that must be found together with F, in the direction of the population's difference,
+        of which each has one.
     simulation : Simulation
         Replicates, seed and levels.
 

@@ -53,7 +53,7 @@ class Questionnaire:
         Distance between answers; None for a continuous scale.
     task_load : bool
         Whether it is a task load index: answers are stretched to a range from 0 to 100, and scores
-        are the mean `<name>_raw` and, where subjects weighted the items by pairwise choices,
+        are the mean `<name>_raw` and, where subjects weighted six items by pairwise choices,
         `<name>_weighted`; else they are mean and sum, `<name>_mean` and `<name>_sum`.
     source : str
         Where it comes from.
@@ -61,9 +61,8 @@ class Questionnaire:
     Raises
     ------
     ValueError
-        If items repeat, a reversed item or one of a subscale is not among them, a subscale has the
-        name of another column, `low` is not below `high`, or `step` does not divide the scale into
-        equal parts.
+        If items repeat, a reversed item or one of a subscale is not among them, `low` is not below
+        `high`, or `step` does not divide the scale into equal parts.
 
     Examples
     --------
@@ -95,9 +94,6 @@ class Questionnaire:
         for name, part in {"reversed": self.reversed, **self.subscales}.items():
             if unknown := {*labels_of(name, part, name in self.subscales)} - {*items}:
                 raise ValueError(f"{name}: {unknown.pop()!r} is none of the items {items}")
-        own = {f"{self.name}_{kind}" for kind in ("mean", "sum", "raw", "weighted")}
-        for name in {*self.subscales} & own:
-            raise ValueError(f"subscales: {name!r} is another column of the scores; rename it")
         low, high = in_order("low", self.low, "high", self.high)
         steps = 1.0 if self.step is None else (high - low) / positive("step", self.step)
         if steps < 1.0 or abs(steps - round(steps)) > 1e-9:
@@ -273,7 +269,7 @@ def score(
     ValueError
         Naming the item, and its row or subject, of an answer that is missing, not a number or not
         on the scale, or whose weights are of nobody who answered or cannot come from pairwise
-        choices.
+        choices; or if a column has two roles, or a subscale the name of another column.
 
     References
     ----------
@@ -309,6 +305,9 @@ def score(
         table, ends, kind = 100.0 * (table - low) / (high - low), 100.0, "raw"
     whole, turned = table.copy(), [*questionnaire.reversed]
     whole[turned] = ends - whole[turned]
+    own = {f"{name}_{kind}" for kind in ("mean", "sum", "raw", "weighted")}
+    for part in {*questionnaire.subscales} & {*own, *table.index.names}:
+        raise ValueError(f"subscales: {part!r} is another column of the scores; rename it")
     coded = {f"{name}_{kind}": whole}
     coded |= {part: table[[*items]] for part, items in questionnaire.subscales.items()}
     scores = {part: items.mean(axis=1) for part, items in coded.items()}
@@ -332,8 +331,6 @@ def score(
                 "subject has none)"
             )
         scores[f"{name}_weighted"] = (w * whole).sum(axis=1) / w.sum(axis=1)
-    for part in {*scores} & {*whole.index.names}:
-        raise ValueError(f"subscales: {part!r} is another column of the answers; rename it")
     result = labelled(pd.DataFrame(scores).reset_index(), origin_of(answers))
     return ScaleScores(questionnaire, result, coded)
 

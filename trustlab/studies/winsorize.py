@@ -123,8 +123,8 @@ def winsorize(
     Raises
     ------
     ValueError
-        If a column is unknown, a label is missing, a score is not a finite number, a cell has two
-        rows, or a rule is unknown or cannot apply to so few or so many equal values.
+        If a column is unknown or named twice, a label is missing, a score is not a finite number, a
+        cell has two rows, or a rule is unknown or cannot apply to so few or so many equal values.
 
     Examples
     --------
