@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy import special
 
 from trustlab.identification.log import (
     LogSettings,
@@ -52,7 +53,7 @@ from trustlab.identification.problem import (
     rough_optima,
     search,
 )
-from trustlab.identification.result import FitResult, RunFit, with_intervals
+from trustlab.identification.result import FitResult, RunFit
 from trustlab.models.checks import counted, of_class, one_of
 from trustlab.sessions.session import Session
 
@@ -456,10 +457,10 @@ def _with_slopes(function: Callable, names: tuple, values: np.ndarray) -> tuple:
 def _mark(estimate: Estimate, table: pd.DataFrame) -> Iterator[str]:
     """Mark names with a 95 % interval too wide to be of use, and say what would help."""
     model = estimate.problem.model
-    rows = with_intervals(table.head(len(model.names)), 0.95, estimate.degrees_of_freedom)
-    useful = model.useful(rows["value"].to_dict())
-    columns = rows["value"], rows["ci_high"] - rows["value"], rows["status"]
-    for name, value, half, status in zip(rows.index, *columns, strict=True):
+    useful = model.useful(table["value"].to_dict())
+    t = special.stdtrit(estimate.degrees_of_freedom, 0.975)
+    for name, value, stderr, status, _ in table.head(len(model.names)).itertuples():
+        half = t * stderr
         if status == "at bound":
             yield (
                 f"{name} is at its bound, {value:.6g}: the fit is better beyond it, or "
