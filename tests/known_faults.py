@@ -124,9 +124,6 @@ KNOWN = {
     "optimal_allocation": {
         "sample_time": "no difference",
     },
-    "ordinal_model": {
-        "covariates": "foreign errors",
-    },
     "PowerAnalysis.plot": {
         "test": "foreign errors",
         "axes": "foreign errors",
