@@ -126,7 +126,6 @@ KNOWN = {
     },
     "PowerAnalysis.plot": {
         "test": "foreign errors",
-        "axes": "foreign errors",
     },
     "read_live_study": {
         "folder": "foreign errors",
@@ -146,9 +145,6 @@ KNOWN = {
     "reconstruct": {
         "p_adjust": "no difference",
     },
-    "RepeatedMeasures.plot": {
-        "axes": "foreign errors",
-    },
     "StudyReport.write": {
         "path": "foreign errors, no argument named",
     },
@@ -163,9 +159,6 @@ KNOWN = {
     },
     "virtual_study": {
         "n": "foreign errors",
-    },
-    "VirtualStudy.analysis": {
-        "conditions": "foreign errors, no argument named",
     },
     "VirtualStudy.plot": {
         "measures": "foreign errors, no argument named",

@@ -45,8 +45,8 @@ GOOD = [
     ),
     "## Tables",
     new_code_cell(
-        "rows = range(40)\nnames = [f'n{i}' for i in rows]\n"
-        "p = [0.0395 - i / 1000 for i in rows]\n"
+        "rows = range(60)\nnames = [f'n{i}' for i in rows]\n"
+        "p = [0.0595 - i / 1000 for i in rows]\n"
         "pd.DataFrame({'name': names, 'p_holm': p, 'eta2': [i + 0.5 for i in rows]})"
     ),
     new_code_cell("caption(pd.DataFrame({'x': [1, 2]}), 'What *x* is.', synthetic=True)"),
@@ -251,7 +251,7 @@ def test_tables_sort_filter_and_download(world, browser):
     assert tab.evaluate(f"{rows}.length") == 25
     assert tab.evaluate(first) == "n0"
     tab.click("th:has-text('p, Holm')")
-    tab.wait_for_function(f"{first} === 'n39'")  # the least p, written "< .001"
+    tab.wait_for_function(f"{first} === 'n59'")  # the least p, written "< .001"
     assert "<\u00a0.001" in tab.evaluate(f"{rows}[0].textContent")
     tab.fill(".dt-search input", "n17")
     assert tab.evaluate(f"{rows}.map(row => row.cells[0].textContent)") == ["n17"]
@@ -260,5 +260,5 @@ def test_tables_sort_filter_and_download(world, browser):
     frame = pd.read_csv(saved.value.path())
     assert list(frame.columns) == ["name", "p, Holm", "eta2"] or frame.shape[1] == 3
     assert frame.iloc[0, 0] == "n17"
-    assert frame.iloc[0, 1] == pytest.approx(0.0225, abs=1e-15)
+    assert frame.iloc[0, 1] == pytest.approx(0.0425, abs=1e-15)
     tab.close()

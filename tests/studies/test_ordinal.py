@@ -323,12 +323,14 @@ def test_covariates_are_other_columns_than_the_rest():
 
 def test_names_and_levels_may_be_numbers():
     """Columns that are called by numbers were not found, and pairs of levels were texts."""
-    names = {"trust": 0, "mode": 1, "trial": 2}
+    names = {"trust": 2, "mode": 3, "trial": 4}
     frame = ratings().replace({"mode": {"a": 1, "b": 2, "c": 10, "d": 20}})
     frame = frame.assign(trial=frame["trial"].map({"x": 0, "y": 1, "z": 2}))
     texts = tl.ordinal_model(frame, "trust", "mode", "person", covariates="trial")
-    found = tl.ordinal_model(frame.rename(columns=names), 0, 1, "person", covariates=2)
+    found = tl.ordinal_model(frame.rename(columns=names), 2, 3, "person", covariates=4)
     pd.testing.assert_frame_equal(found.pairs(), texts.pairs())
     assert found.pairs()["b"].tolist() == [2, 10, 20, 10, 20, 20]
     np.testing.assert_array_equal(found.probabilities(), texts.probabilities())
-    assert found.probabilities().columns[0] == 1
+    assert found.probabilities().columns[0] == 3
+    with pytest.raises(ValueError, match="1 are numbers in a formula; rename the column"):
+        tl.ordinal_model(frame.rename(columns={"mode": 1}), "trust", 1, "person")

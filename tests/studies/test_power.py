@@ -333,6 +333,6 @@ def test_two_means_of_a_cell_are_refused():
 
 def test_whole_numbers_may_be_floats():
     """They passed the check, and the simulation failed."""
-    same = Simulation(replicates=200.0, seed=np.array(3))
+    same = Simulation(replicates=100.0, seed=np.array(3))
     found = [tl.power_analysis([0, 1], np.eye(2), n=5, simulation=s).table() for s in (SMALL, same)]
     pd.testing.assert_frame_equal(*found)

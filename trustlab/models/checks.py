@@ -38,7 +38,9 @@ def warn(message: str, category: type[Warning] = UserWarning) -> None:
     found.
     """
     frame, level = sys._getframe(1), 2
-    while frame and frame.f_globals.get("__name__", "").startswith(("trustlab.", "contextlib")):
+    # numpy.errstate calls what it decorates.
+    inside = ("trustlab.", "contextlib", "numpy.")
+    while frame and frame.f_globals.get("__name__", "").startswith(inside):
         frame, level = frame.f_back, level + 1
     warnings.warn(message, category, stacklevel=level)
 

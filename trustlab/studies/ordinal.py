@@ -315,6 +315,8 @@ def ordinal_model(
     roles_of(table, dv=[dv], factors=[*factors], subject=[subject], covariates=covariates)
     for name in covariates:
         numbers_of(table[name], "covariates")
+    if {"0", "1"} & {*map(str, (dv, *factors, *covariates))}:
+        raise ValueError("columns: 0 and 1 are numbers in a formula; rename the column")
     crossed = " * ".join(f"`{name}`" for name in factors)
     formula = " + ".join([f"`{dv}` ~ {crossed}", *(f"`{name}`" for name in covariates)])
     data[dv] = answers
