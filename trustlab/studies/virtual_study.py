@@ -133,9 +133,9 @@ class VirtualStudy(Result):
             variance.
         """
         one_of("dv", dv, self.names)
-        compared = self.conditions if conditions is None else conditions
-        if not isinstance(compared, list | tuple):
-            raise ValueError(f"conditions must be a list of names, got {shown(compared)}")
+        if not isinstance(conditions, list | tuple | None):
+            raise ValueError(f"conditions must be a list of names, got {shown(conditions)}")
+        compared = list(self.conditions if conditions is None else conditions)
         rows = self.measures.query("condition in @compared")
         scored = rows.loc[rows[dv].notna(), "condition"].unique()
         if lacking := [name for name in compared if name not in scored]:
