@@ -157,7 +157,7 @@ class VirtualStudy(Result):
         rows = []
         for name in self.names:
             complete = self.measures[name].notna().groupby(self.measures["condition"]).all()
-            measured = complete.index[complete]
+            measured = [*complete.index[complete]]
             row = {"measure": name, "conditions": " ".join(measured), "correction": "", "note": ""}
             if lacking := ", ".join(complete.index[~complete]):
                 row["note"] = f"without {lacking}, which do not have it for everyone"
