@@ -170,7 +170,8 @@ def test_a_run_in_jupyterlab(browser, lab, name, source):
     page.evaluate(f"{RUNS}.forEach((part) => delete part.run)")
     one.run(0)
     page.click("text=Start driving", timeout=60_000)
-    until(int(rows) + 5)
+    until(int(rows) + 5)  # it has begun
+    until(page.evaluate(HAVE) + 5)  # and was commanded, which is when a pause is over
     more, verified, _, pauses = one.asked(1)
     assert (int(more) > int(rows), verified) == (True, "True"), "the run goes on where it was"
     assert "begun again" in pauses
