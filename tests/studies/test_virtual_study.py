@@ -316,3 +316,5 @@ def test_own_rules_beside_printed_conditions():
     assert own.loc[3, [*alone.measures]].to_dict() == alone.measures
     assert (own["switches"] > 2).all()
     assert study.table()["n"].max() == 6
+    named = study.measures["condition"].unique()  # an array, as pandas gives it
+    assert study.analysis("p_r", named).apa() == study.analysis("p_r").apa()

@@ -4,7 +4,7 @@ like a lab's.
 """
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -133,7 +133,7 @@ class VirtualStudy(Result):
             variance.
         """
         one_of("dv", dv, self.names)
-        if not isinstance(conditions, list | tuple | None):
+        if isinstance(conditions, str) or not isinstance(conditions, Iterable | None):
             raise ValueError(f"conditions must be a list of names, got {shown(conditions)}")
         compared = list(self.conditions if conditions is None else conditions)
         rows = self.measures.query("condition in @compared")
