@@ -209,7 +209,7 @@ def test_lanes_give_outputs_and_derivatives():
         for j, name in enumerate(problem.unknowns):
             moved = outputs_of(run, AT | {name: AT[name] + 1e-100j})[place]
             slope = moved.imag / 1e-100
-            derivative = series.white[:, 1 + j] / slopes[j]
+            derivative = series.slopes[:, j] / slopes[j]
             # A load has a longer step, across its kinks.
             rtol = 1e-3 if name == "r0" else 1e-4
             np.testing.assert_allclose(derivative, slope, rtol=rtol, atol=2e-5)

@@ -8,9 +8,11 @@ Oracles: the entries and commands that were sent, the answers that came back, a 
 import os
 import resource
 import signal
+from contextlib import suppress
+from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings as budget, strategies as st
+from hypothesis import example, given, settings as budget, strategies as st
 
 from tests.live.cases import commands_for, configured, stepped
 from trustlab.live import trial as trials
@@ -56,6 +58,7 @@ def test_a_file_cut_anywhere_gives_its_whole_lines(entries, cut, tmp_path_factor
     assert (reading.entries, reading.fault) == ([*entries[:whole], "after"], "")
 
 
+@example(entries=[[-1.0], [2.0], [3.0]], place=22, bit=5)  # a minus becomes a carriage return
 @given(entries=ENTRIES.filter(bool), place=st.integers(min_value=0), bit=st.integers(0, 7))
 def test_every_bit_that_is_changed_is_found(entries, place, bit, tmp_path_factory):
     path, data = logged(tmp_path_factory, entries)
@@ -63,6 +66,10 @@ def test_every_bit_that_is_changed_is_found(entries, place, bit, tmp_path_factor
     changed[place % len(data)] ^= 1 << bit
     path.write_bytes(changed)
     assert read_log(path, "a").fault.startswith("rows.jsonl")
+    with suppress(LogError):
+        Log(path, "a").close()
+    # Nothing but a last line without its end is cut off.
+    assert path.stat().st_size >= data[:-1].rfind(b"\n") + 1
 
 
 def test_a_disk_that_is_full_takes_half_a_line_back(tmp_path):
@@ -214,6 +221,32 @@ def test_commands_that_come_twice_are_done_once_and_a_gap_waits(team):
     assert sent(trial, 15, commands[15:] + commands)["done"], "what lies beyond the end is left out"
     assert len(trial.rows) == trial.settings["samples"]
     assert sent(trial, 80, commands[:3])["k"] == 80
+
+
+def test_an_own_part_that_fails_ends_the_drive_and_leaves_the_log(path, team, monkeypatch):
+    trial, commands = team
+    step = trial.run.step
+
+    def fails(*command):
+        if len(trial.rows) == 3:
+            raise RuntimeError("no leader")
+        return step(*command)
+
+    monkeypatch.setattr(trial.run, "step", fails)
+    with pytest.raises(RuntimeError, match="no leader"):
+        sent(trial, 0, commands[:5])
+    assert sent(trial, 3, commands[3:8])["done"]
+    assert (trial.record.commands, len(trial.record.rows)) == (commands[:5], 3)
+    assert trial.record.end == "stopped: no leader"
+
+    def begin(settings):
+        raise RuntimeError("no policy")
+
+    path = path.with_name("other.jsonl")
+    with pytest.raises(RuntimeError, match="no policy") as kept:  # with its traceback, as notebooks
+        Trial(path, replace(trial.task, begin=begin), trial.settings)
+    assert kept.tb is not None
+    assert not Trial(path, trial.task, trial.settings).done
 
 
 def test_the_window_that_began_last_drives(team):

@@ -63,7 +63,10 @@ UNSURE = (
     "choose_thresholds(posterior) offers thresholds with a probability, or says what to record. {}"
 )
 
-OBJECTIVES = {"peak": "highest peak of robot performance", "mean": "greatest mean robot performance"}
+OBJECTIVES = {
+    "peak": "highest peak of robot performance",
+    "mean": "greatest mean robot performance",
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -242,7 +242,7 @@ class Estimate:
 def whiteness_of(optimum: Optimum) -> float:
     """Return the least p value of the Ljung–Box tests of all outputs ([S] Section 11.2)."""
     problem = optimum.problem
-    pairs = zip(problem.exact(optimum.x), problem.whitened(), strict=True)
+    pairs = zip(problem.exact(optimum.x), problem.whitened(optimum.x), strict=True)
     return min(1.0 if exact else whiteness_p(errors) for exact, errors in pairs)
 
 
@@ -279,14 +279,14 @@ def covariance_of(
 
 def long_run(problem: Problem, x: np.ndarray) -> np.ndarray:
     """Return the long-run covariance of the likelihood's scores, summed over runs."""
+    lags = max(map(hac_lags, problem.whitened(x)))
     weights = problem.equations(x).weights
-    lags = max(map(hac_lags, problem.whitened()))
     total = np.zeros((problem.free.size,) * 2)
     for of_run in problem.series:
         pairs = zip(weights, of_run, strict=True)
-        scores = sum(weight * s.white[:, 1:] * s.white[:, :1] for weight, s in pairs)
-        places = of_run[0].places[1:] - 1
-        total[np.ix_(places, places)] += hac_matrix(scores, lags)
+        scores = sum(weight * s.slopes * s.errors[:, None] for weight, s in pairs)
+        unknowns = of_run[0].unknowns
+        total[np.ix_(unknowns, unknowns)] += hac_matrix(scores, lags)
     return total
 
 
@@ -312,7 +312,7 @@ def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
             for j, series in enumerate(problem.series[i]):
                 change = ((after[j] - before[j]) * series.known)[:, None] / run.sample_time
                 seen = whiten(change, series.known, problem.noise[j])[0][:, 0]
-                answer[series.places[1:] - 1] += weights[j] * series.white[:, 1:].T @ seen
+                answer[series.unknowns] += weights[j] * series.slopes.T @ seen
             shift = run.stamp_error * inverse @ answer[optimum.loose]
             added += np.outer(shift, shift) * switches.size / chosen.size
     return added
@@ -363,7 +363,6 @@ def _shift_of_states(optimum: Optimum) -> np.ndarray:
             near, likely = share, there
         else:
             far = share
-    problem.equations(optimum.x)
     return problem.values(likely.x) - problem.values(optimum.x)
 
 
@@ -489,20 +488,20 @@ def _model(model: Model, values: pd.Series, sentences: list[str]) -> Any:
 
 def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
     """Put every run beside its fitted outputs and prediction errors."""
-    problem = estimate.problem
-    outputs, model = problem.model.outputs, problem.model
+    problem, x = estimate.problem, estimate.optimum.x
+    model, whitened = problem.model, problem.whitened(x)
     for i, (run, of_run) in enumerate(zip(problem.runs, problem.series, strict=True)):
-        simulated = problem.simulated(run, i, estimate.optimum.x)
-        # Values that the log has as means are shown as it has them.
-        undone = [run.undone if name in averaged(outputs) else 1 for name in outputs]
-        triples = zip(of_run, simulated, undone, strict=True)
-        shown = [[window_means(y, w) for y in (s.measured, out)] for s, out, w in triples]
-        measured, fitted = (dict(zip(outputs, y, strict=True)) for y in zip(*shown, strict=True))
         inputs = {name: run[name] for name in model.inputs}
-        by_name = dict(zip(outputs, of_run, strict=True))
-        errors = {name: series.white[:, 0].copy() for name, series in by_name.items()}
-        known = {name: series.known for name, series in by_name.items()}
-        yield RunFit(run.label, run.synthetic, run.t, inputs, measured, fitted, errors, known)
+        by_name: list[dict[str, np.ndarray]] = [{}, {}, {}, {}]
+        measured, fitted, errors, known = by_name
+        parts = zip(model.outputs, of_run, problem.simulated(run, i, x), whitened, strict=True)
+        for name, series, simulated, of_output in parts:
+            # Values that the log has as means are shown as it has them.
+            window = run.undone if name in averaged(model.outputs) else 1
+            measured[name] = window_means(series.measured, window)
+            fitted[name] = window_means(simulated, window)
+            errors[name], known[name] = of_output[i], series.known
+        yield RunFit(run.label, run.synthetic, run.t, inputs, *by_name)
 
 
 # --- remarks --------------------------------------------------------------------------------------
@@ -626,7 +625,7 @@ def _slow(estimate: Estimate) -> Iterator[str]:
     samples = sum(run.size for run in problem.runs)
     memory = [-1.0 / np.log(n.memory) for n in problem.noise if n.share > 0.01 and n.memory > 0.0]
     if estimate.sandwiched:
-        memory += map(hac_lags, problem.whitened())
+        memory += map(hac_lags, problem.whitened(estimate.optimum.x))
     if memory and max(memory) * STRETCHES > samples:
         step = problem.runs[0].sample_time
         yield (

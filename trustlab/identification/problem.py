@@ -76,6 +76,21 @@ class Series:
     plain: Any = None
     white: Any = None
 
+    @property
+    def errors(self) -> np.ndarray:
+        """The whitened prediction errors, shape (N,)."""
+        return self.white[:, 0]
+
+    @property
+    def slopes(self) -> np.ndarray:
+        """Their derivatives by the unknowns that move this run, with a minus sign."""
+        return self.white[:, 1:]
+
+    @property
+    def unknowns(self) -> np.ndarray:
+        """Which of the free unknowns these are."""
+        return self.places[1:] - 1
+
 
 class Equations(NamedTuple):
     """
@@ -229,9 +244,10 @@ class Problem:
             log_determinant += part
         return gram, log_determinant
 
-    def whitened(self) -> list[list[np.ndarray]]:
-        """Return the prediction errors of each run, by output, at the last point."""
-        return [[series.white[:, 0].copy() for series in of] for of in self.by_output()]
+    def whitened(self, x: np.ndarray) -> list[list[np.ndarray]]:
+        """Return the prediction errors of each run, by output."""
+        self.equations(x)
+        return [[series.errors.copy() for series in of] for of in self.by_output()]
 
     def exact(self, x: np.ndarray) -> np.ndarray:
         """Return whether an output's residuals are mere rounding, by output."""

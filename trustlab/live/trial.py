@@ -132,7 +132,7 @@ def read_record(path: Path, origin: str = "") -> tuple[Record | None, str, str]:
     try:
         header, *entries = reading.entries
         return Record(header, entries), reading.links[-1], reading.fault
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         fault = reading.fault or f"{path.name}: it does not hold a drive ({error})"
         return None, reading.links[-1], fault
 
@@ -189,9 +189,9 @@ class Trial:
         # A notebook's kernel may answer in one thread and show a session in another.
         self.lock = threading.RLock()
         self.clock = time.time() - time.monotonic()
-        self.run = task.begin(self.settings)
         self.rows = []
         try:
+            self.run = task.begin(self.settings)
             if self.record.other_maker and not self.done:
                 raise LogError(
                     f"{path}: begun by {self.record.other_maker}; a drive in progress is continued "
@@ -201,7 +201,7 @@ class Trial:
             fault = difference(task, self.settings, self.record.rows, self.rows)
             if fault:
                 raise LogError(f"{path}: {fault}, so that the drive cannot go on")
-        except LogError:
+        except Exception:  # of a user's own part, too: a notebook keeps it, and with it the log
             self.log.close()
             raise
 
@@ -267,7 +267,11 @@ class Trial:
             self.task.check(self.settings, command)
         if commands:
             self._keep(commands=commands, seen=min(float(seen), float(have)))
-            self.rows.extend(stepped(self.run, commands))
+            try:
+                self.rows.extend(stepped(self.run, commands))
+            except Exception as error:  # of a user's own part: the commands would be kept again
+                self.finish(f"stopped: {error}")
+                raise
         if self.run.done or len(self.rows) >= most:
             self.finish("complete")
 

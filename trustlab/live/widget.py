@@ -132,7 +132,7 @@ class LiveWidget(anywidget.AnyWidget):
         path.parent.mkdir(parents=True, exist_ok=True)
         if not goes_on(path, settings, self.participant):
             raise ValueError(f"{path} holds another run, or one that is over; name another log")
-        trial = self.trials.get(path)
+        trial = self.trials.get(path) if path.exists() else None
         if trial is None:
             prepare(task, settings)
             try:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from trustlab.live.log import Log, LogError, linked
@@ -181,7 +182,7 @@ class Replay:
             self.same &= sent == self.store.serialize_cdr(message, command.type)
         elif topic in STATES:
             state = getattr(self.decisions[-1], STATES[topic])
-            self.same &= message.data == state or state != state
+            self.same &= np.array_equal(message.data, state, equal_nan=True)
         else:
             self.feed.hear(topic, message, now)
 
