@@ -104,8 +104,11 @@ def test_only_logs_that_nothing_else_tells_of_may_be_moved_away(tmp_path):
 def test_the_name_of_a_new_log_is_on_the_disk(tmp_path, monkeypatch):
     synced = []
     monkeypatch.setattr("trustlab.live.log.sync_folder", synced.append)
+    (tmp_path / "rows.jsonl").touch()  # by who was killed before the folder was written
     for _ in range(2):
-        Log(tmp_path / "rows.jsonl").close()
+        log = Log(tmp_path / "rows.jsonl")
+        log.append([0])
+        log.close()
     assert synced == [tmp_path]
 
 

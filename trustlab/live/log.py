@@ -132,7 +132,6 @@ class Log:
 
     def __init__(self, path: Path, origin: str = ""):
         self.path, self.origin = path, origin
-        new = not path.exists()
         self.handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         self.close = weakref.finalize(self, os.close, self.handle)
         try:
@@ -149,7 +148,7 @@ class Log:
             away = "" if origin else ", or move it away"
             raise LogError(f"{path}: {reading.fault}; restore it from a copy{away}")
         os.ftruncate(self.handle, reading.size)
-        if new:
+        if not self.entries:  # new, or left by who was killed before this
             sync_folder(path.parent)
 
     def append(self, entries: Iterable[Any]) -> None:
