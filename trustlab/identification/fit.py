@@ -326,7 +326,7 @@ def mode_delay(optimum: Optimum, sandwiched: bool) -> ModeDelay:
         return none
     # The same problem with the delay as one more unknown, at the same point.
     late = problem.alike(delayed(problem.model), {"mode_delay": (-np.inf, np.inf)})
-    there = Optimum(late, np.insert(optimum.x, len(names), 0.0), True, 0)
+    there = Optimum(late, np.insert(optimum.x, len(names), 0.0), True)
     try:
         inverse = there.inverse_information()
     except IdentificationError:
@@ -378,12 +378,10 @@ def result_of(estimate: Estimate) -> FitResult:
     doubts = (_coarse, _delay_warning, _slow, _rivals)
     exact = problem.exact(optimum.x).any()
     reasons = [] if exact else [text for doubt in doubts for text in doubt(estimate)]
-    search = f"Converged in {counted(optimum.steps, 'evaluation')}."
-    if not optimum.converged:
-        search = (
-            f"Stopped after {optimum.steps} evaluations without a minimum; do not use the numbers."
-        )
-    sentences = [search, *marks, *remarks(estimate), *reasons]
+    settled = (
+        "Converged." if optimum.converged else "Stopped without a minimum: do not use the numbers."
+    )
+    sentences = [settled, *marks, *remarks(estimate), *reasons]
     if (marks or reasons) and "p_h" in model.outputs:
         sentences.append("trustlab.sample_posterior says what mode, p_h and p_r do determine.")
     states = {}

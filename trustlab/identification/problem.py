@@ -308,7 +308,6 @@ class Optimum:
     problem: Problem
     x: np.ndarray
     converged: bool
-    steps: int
 
     def __post_init__(self):
         equations = self.problem.equations(self.x)
@@ -398,7 +397,7 @@ def search(
     places = problem.free[moving]
     low, high = problem.low[places], problem.high[places]
     if places.size == 0:
-        return Optimum(problem, start, True, 1)
+        return Optimum(problem, start, True)
 
     def at(x: np.ndarray) -> np.ndarray:
         full = start.copy()
@@ -431,7 +430,7 @@ def search(
     )
     # The callback's status is −2. No search can come closer than rounding.
     settled = end.success or end.status == -2 or problem.exact(at(end.x)).all()
-    optimum = Optimum(problem, at(end.x), bool(settled), int(end.nfev))
+    optimum = Optimum(problem, at(end.x), bool(settled))
     ends = ends_of_loads(optimum)[0]
     at_end = np.abs(optimum.x[problem.loads] - ends) < STEP_OF_LOAD
     if settled or most > MOST or not (at_end.any() or tolerance <= FINE):
