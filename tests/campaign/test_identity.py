@@ -272,3 +272,13 @@ for value in (1, 2):
     environment = os.environ | {"PYTHONPATH": ROOT}
     output = subprocess.check_output(command, cwd=tmp_path, env=environment, text=True)
     assert output.splitlines() == ["[1, 1, 1]", "[2, 2, 2]"]
+
+
+def test_the_lock_of_an_editor_is_no_source(tmp_path, monkeypatch):
+    """A link that leads nowhere, beside a buffer that is not saved."""
+    (tmp_path / "locked").mkdir()
+    (tmp_path / "locked" / "__init__.py").write_text("def task(x, seed): return {'y': x}")
+    (tmp_path / "locked" / ".#task.py").symlink_to("user@host.1")
+    monkeypatch.syspath_prepend(tmp_path)
+    task = importlib.import_module("locked").task
+    assert list(tl.run_campaign(task, [{"x": 1}], out=tmp_path / "out")["y"]) == [1]

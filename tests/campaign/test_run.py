@@ -267,3 +267,13 @@ def test_a_grid_of_what_is_no_list_is_refused(values):
 def test_a_grid_without_values_is_refused(axes):
     with pytest.raises(ValueError, match="give at least one value for each name"):
         tl.parameter_grid(**axes)
+
+
+def test_large_whole_numbers_beside_nothing_keep_their_digits():
+    table = tl.run_campaign(lambda k, seed: {"y": 2**53 + 1 if k else None}, [{"k": 0}, {"k": 1}])
+    assert table["y"].iloc[1] == 2**53 + 1
+
+
+def test_a_grid_that_no_memory_holds_is_refused():
+    with pytest.raises(ValueError, match=r"number of runs must be .* got 10000000000"):
+        tl.parameter_grid(**{name: range(100) for name in "abcde"})

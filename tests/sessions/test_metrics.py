@@ -170,3 +170,18 @@ def test_signals_of_unequal_length_are_refused():
             call()
     with pytest.raises(ValueError, match=r"got \(3, 2\) and \(3, 1\)"):
         metrics.command_quality(np.ones((3, 2)), np.ones((3, 1)), 1.0)
+
+
+def test_trials_are_ordered_by_their_numbers_and_training_is_true_or_false():
+    """Trial "10" was dropped as the first, before "2"; "no" was training."""
+    trials = [trial(number, 1, 0.0, error) for number, error in (("10", 0.01), ("2", 0.09))]
+    assert tl.sessions.tracking_error(trials)["traj_err"].tolist() == [1.0]
+    with pytest.raises(tl.SessionError, match="'training' must be true or false, got 'no'"):
+        tl.sessions.tracking_error([trials[0].with_metadata(training="no")])
+
+
+@pytest.mark.parametrize("axes", ["", "yy", "w"])
+def test_axes_are_some_of_three(axes):
+    """Without any the operator was perfect."""
+    with pytest.raises(ValueError, match="axes must be some of 'xyz'"):
+        metrics.with_performance(trial(1, 1, 0.0, 1.0), measure="uav_tracking", axes=axes)

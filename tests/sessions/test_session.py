@@ -145,3 +145,40 @@ def test_a_part_has_facts_of_its_own():
     part = whole.between(0.0, 0.2)
     part.metadata.more["excluded"] = True
     assert "excluded" not in whole.metadata.more
+
+
+def test_a_series_is_taken_by_place():
+    session = tl.Session(frame(p_r=0.5))
+    values = np.linspace(0.0, 1.0, len(session))
+    mixed = pd.Series(values, session.data.index[::-1])
+    assert session.with_columns(p_r=mixed)["p_r"].tolist() == values.tolist()
+
+
+def test_columns_and_metadata_have_names(tmp_path):
+    with pytest.raises(tl.SessionError, match="column 0 is not in the vocabulary"):
+        tl.Session(pd.DataFrame(np.zeros((3, 1)), [0.0, 0.1, 0.2]))
+    named = tl.Session(frame(p_r=0.5), tl.Metadata(more={3: "x"}))
+    with pytest.raises(tl.SessionError, match="metadata 3 would not read back the same"):
+        tl.write_session(named, tmp_path / "a.csv")
+
+
+def test_a_file_written_again_keeps_who_may_read_it_and_links(tmp_path):
+    """Participants' data could be read by all from the second time on."""
+    file, link = tmp_path / "a.csv", tmp_path / "b.csv"
+    file.touch(mode=0o600)
+    link.symlink_to(file)
+    session = tl.Session(frame(p_r=0.5))
+    tl.write_session(session, link)
+    assert link.is_symlink()
+    assert file.stat().st_mode & 0o777 == 0o600
+    assert tl.read_session(file) == session
+
+
+def test_metadata_of_a_frame_are_kept_where_no_rule_takes_them_up(tmp_path):
+    recipe = tmp_path / "a.toml"
+    text = 'name = "a"\nkind = "table"\n[files]\npattern = "p{participant:int}.csv"\n[time]\n'
+    text += 'column = "t"\nunit = "s"\n[columns]\np_r = { column = "p_r" }\n'
+    recipe.write_text(text)
+    table = frame(p_r=0.5).reset_index(names="t")
+    session = tl.read_frame(table, recipe, participant=3, returns=5)
+    assert (session.metadata.participant, session.metadata.more["returns"]) == (3, 5)

@@ -110,7 +110,7 @@ def _files(path: Path) -> list[Path]:
     for folder, folders, names in os.walk(path):
         folders[:] = set(folders) - INSTALLED
         files += [Path(folder, name) for name in names if name.endswith(".py")]
-    return files
+    return [file for file in files if file.is_file()]  # an editor's lock leads nowhere
 
 
 def _paths(name: str) -> list[Path]:

@@ -1,6 +1,7 @@
 """Parameters of many runs: grids and draws."""
 
 import itertools
+import math
 from collections.abc import Iterable, Mapping, Sequence, Set
 from numbers import Real
 from typing import Any
@@ -59,6 +60,7 @@ def parameter_grid(repeats: int = 1, **axes: Iterable) -> list[dict]:
     if not axes or not all(lists):
         raise ValueError(f"give at least one value for each name, got {shown(axes)}")
     lists.append([None] * whole_number("repeats", repeats, most=MOST_RUNS))
+    whole_number("the number of runs", math.prod(map(len, lists)), most=MOST_RUNS)
     return [dict(zip(axes, values, strict=False)) for values in itertools.product(*lists)]
 
 

@@ -331,7 +331,8 @@ def _table(rows: Mapping[int, dict], parameters: Any) -> pd.DataFrame:
         errors.append(_readable(error))
     table = pd.DataFrame(records or {"run": []})
     for name in table.select_dtypes(float):
-        exact = pd.Series({k: row[name] for k, row in enumerate(records) if name in row})
+        column = enumerate(row.get(name) for row in records)
+        exact = pd.Series({k: value for k, value in column if value is not None})
         if exact.dtype == int and exact.abs().max() > 2**53:  # floats would lose digits
             table[name] = exact.astype(object)
     table["failed"] = [error is not None for error in errors]

@@ -38,6 +38,6 @@ def room_digest(room: str) -> str:
     """Return a digest of the sources of a room and of all rooms above it: all that it imports."""
     place = ROOMS.index(room)
     parts: list[str | bytes] = [room_digest(ROOMS[place - 1])] if place else []
-    for file in sorted((PACKAGE / room).rglob("*.py")):
+    for file in sorted(filter(Path.is_file, (PACKAGE / room).rglob("*.py"))):
         parts += [file.relative_to(PACKAGE).as_posix(), file.read_bytes()]
     return digest(*parts)

@@ -35,18 +35,21 @@ def write_atomically(path: str | os.PathLike, content: bytes | str, mode: int = 
     Write a file so that readers find it complete or as it was before, whenever the process stops.
 
     The content is on the disk when this returns. Text is encoded as UTF-8. `mode` says who may read
-    and write the file, less what the process's umask takes away.
+    and write a new file, less what the process's umask takes away; one that is there keeps what its
+    owner has allowed, and a link leads to it.
     """
-    path = Path(path)
+    file = Path(os.path.realpath(path))
     data = content.encode() if isinstance(content, str) else content
-    partial = path.with_name(f"{path.name}{PARTIAL}{os.getpid()}")
+    partial = file.with_name(f"{file.name}{PARTIAL}{os.getpid()}")
     try:
         handle = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, mode)
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
+        with os.fdopen(handle, "wb") as new:
+            with contextlib.suppress(FileNotFoundError):
+                os.fchmod(handle, mode & file.stat().st_mode)
+            new.write(data)
+            new.flush()
+            os.fsync(handle)
+        os.replace(partial, file)
     except OSError as error:
         error.filename = str(path)  # the name that the user knows
         with contextlib.suppress(OSError):

@@ -260,8 +260,8 @@ class LogisticScaling(_Scaling):
     """
     A scale that falls smoothly from `high` to `low` as trust grows, equation (3.5).
 
-    α = high − (high − low)/(1 + exp(−s (T − T_mid)/(T_max − T_min))). At the ends of trust it is
-    within (high − low)/(1 + exp(s/2)) of its bounds, 0.7 % of the range for s = 10.
+    α = high − (high − low)/(1 + exp(−s (T − T_mid)/(T_max − T_min))). With T_mid in the middle
+    it ends within (high − low)/(1 + exp(s/2)) of its bounds, 0.7 % of the range for s = 10.
 
     Parameters
     ----------

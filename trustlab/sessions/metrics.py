@@ -6,8 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import array_between, finite_array, mode_array, one_of, positive, warn
+from trustlab.models.checks import (
+    array_between,
+    finite_array,
+    mode_array,
+    one_of,
+    positive,
+    shown,
+    warn,
+)
 from trustlab.sessions.errors import SessionError
+from trustlab.sessions.patterns import natural_key
 
 # Commands below this are none [m/s, rad/s]: a stick at rest is not quite at zero.
 IDLE = 1e-2
@@ -187,7 +196,7 @@ def with_performance(
     ----------
     session : Session
         Needs step_distance, path_error, v_command and w_command ("ground_robot"); path_error, u_h
-        and u_i ("uav_tracking"); u_h, u_a, u_i, reference, robot and mode as α
+        and u_i ("uav_tracking"); u_h, u_a, u_i, reference, robot and, as α, alpha or else mode
         ("mixed_initiative").
     window : float
         Length W [s]; 100 s in Chapter 2, 10 s in Chapter 3.
@@ -199,14 +208,14 @@ def with_performance(
         Greatest deviation of a command, in the unit of the commands; required for all but
         "ground_robot".
     axes : str
-        Axes of the commands and positions that count, for example "yz".
+        Axes of the commands and positions that count, each once, for example "yz".
 
     Raises
     ------
     SessionError
         If a column is missing.
     ValueError
-        If the measure is unknown or a scale is missing or not positive.
+        If the measure or axes are unknown, or a scale is missing or not positive.
     """
 
     def vector(stem: str) -> np.ndarray:
@@ -214,6 +223,8 @@ def with_performance(
         session.require(*names)
         return session.data[names].to_numpy()
 
+    if not axes or sorted(axes) != sorted({*axes} & {*"xyz"}):
+        raise ValueError(f"axes must be some of 'xyz', each once, got {shown(axes)}")
     one_of("measure", measure, ("ground_robot", "uav_tracking", "mixed_initiative"))
     for name, largest in {"e_max": e_max, "u_max": u_max}.items():
         if largest is not None:
@@ -299,11 +310,13 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
     Raises
     ------
     SessionError
-        If a trial lacks path_error or one of the metadata, or a block has no trial left.
+        If a trial lacks path_error or one of the metadata, or a participant has no trial left at a
+        level.
     """
     # A session alone is iterable too, over the names of its columns.
     trials = [sessions] if hasattr(sessions, "metadata") else sessions
-    trials = pd.DataFrame([_trial(session) for session in trials])
+    rows = sorted(map(_trial, trials), key=lambda row: natural_key(row["trial"]))
+    trials = pd.DataFrame(rows)
     if trials.empty or trials["training"].all():
         raise SessionError("no trial to average: all are training, or none was given")
     trials = trials[~trials["training"].astype(bool)].copy()
@@ -312,8 +325,8 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
         raise SessionError(
             "trial {trial} of participant {participant} occurs twice".format(**twice.iloc[0])
         )
-    order = trials.sort_values("trial").groupby(["participant", "block"]).cumcount()
-    trials["traj_err"] = trials["traj_err"].where(order.reindex(trials.index) >= drop_first)
+    order = trials.groupby(["participant", "block"]).cumcount()
+    trials["traj_err"] = trials["traj_err"].where(order >= drop_first)
     table = trials.groupby(["participant", "autonomy"], as_index=False)[["traj_err"]].mean()
     lost = table[table["traj_err"].isna()]
     if len(lost):
@@ -331,6 +344,9 @@ def _trial(session) -> dict[str, object]:
     for name in names:
         if facts.get(name) is None:
             raise SessionError(f"metadata {name!r} is missing", session.metadata.source)
+    if facts["training"] not in (0, 1):
+        fault = f"metadata 'training' must be true or false, got {shown(facts['training'])}"
+        raise SessionError(f"{fault}; give the recipe a map", session.metadata.source)
     return {name: facts[name] for name in names} | {
         "traj_err": 100.0 * session["path_error"].mean()
     }

@@ -17,7 +17,7 @@ TYPES = {
 
 
 def natural_key(value: object) -> tuple:
-    """Return a sort key that puts 2 before 10, numbers before words and None last."""
+    """Return a sort key that puts 2 before 10, numbers before texts and None last."""
     if value is None:
         return (2,)
     if isinstance(value, int | float):

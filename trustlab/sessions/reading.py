@@ -379,13 +379,17 @@ class Reader:
 
     def read_frame(self, frame: pd.DataFrame, metadata: Mapping[str, object]) -> list[Session]:
         """Return the session in a data frame, or all that the recipe splits it into."""
-        fields = self.pattern.types if self.pattern else {}
+        # Fields of a path that no rule takes up are metadata like others.
+        used = {*self.recipe.metadata, *(rule.origin for rule in self.recipe.columns.values())}
+        used |= {rule.origin for rule in self.recipe.metadata.values()}
+        fields = used & {*(self.pattern.types if self.pattern else ())}
         with source_named("data frame"):
             self._check_kind("table")
             table = frame_table(frame, self._chosen(), self.layout)
             sessions = self._of_table(table, "data frame", metadata)
         more = {name: value for name, value in metadata.items() if name not in fields}
         arguments = {*read_session.__annotations__, *read_frame.__annotations__}
+        arguments -= {"path", "return"}
         for name in more:
             # "resampled" is what reading itself notes.
             close = get_close_matches(name, {*arguments, "resampled"}, n=1, cutoff=0.85)

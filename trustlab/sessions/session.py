@@ -107,7 +107,8 @@ def metadata_to_json(metadata: Metadata, **extra: object) -> str:
     content = {name: getattr(metadata, name) for name in FIELDS if name != "source"}
     for name, value in [*content.items(), *metadata.more.items()]:
         try:
-            same = bool(json.loads(json.dumps(value, default=np.generic.item)) == value)
+            again = json.loads(json.dumps({name: value}, default=np.generic.item))
+            same = bool(again == {name: value})
         except (TypeError, ValueError, RecursionError):  # ValueError also where == gives an array
             same = False
         if not same:
@@ -294,7 +295,9 @@ class Session(Result):
             if np.ndim(values) > 1 or (np.ndim(values) == 1 and len(values) != len(self)):
                 fault = f"is of shape {np.shape(values)}, but the session has {len(self)} samples"
                 raise SessionError(f"column {name!r} {fault}", self.metadata.source)
-        return Session(self.data.assign(**columns), self.metadata)
+        # By place: a Series with an index of its own would be ordered by that.
+        arrays = {name: np.asarray(x) if np.ndim(x) else x for name, x in columns.items()}
+        return Session(self.data.assign(**arrays), self.metadata)
 
     def with_metadata(self, **changes: Any) -> Session:
         """

@@ -41,10 +41,10 @@ VOCABULARY: dict[str, Column] = {column.name: column for column in _columns()}
 def known_column(name: str) -> Column:
     """Return a column of the vocabulary by its name."""
     if name not in VOCABULARY:
-        hint = did_you_mean(name, VOCABULARY)
+        hint = did_you_mean(str(name), VOCABULARY)
         remedy = "map it with a recipe, rename it, or leave it out with columns=[…]"
         raise SessionError(
-            f"column {name[:100]!r} is not in the vocabulary{hint} ({remedy}; see "
+            f"column {shown(name)} is not in the vocabulary{hint} ({remedy}; see "
             "trustlab.sessions.vocabulary())"
         )
     return VOCABULARY[name]
