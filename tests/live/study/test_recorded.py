@@ -143,6 +143,8 @@ def test_the_export_holds_what_the_tables_do_and_says_what_it_means(rehearsed, t
     np.testing.assert_array_equal(drive["p_r"], session["p_r"])
     items = pd.read_csv(io.BytesIO(archive.read("items.csv")))
     assert "The robot is deceptive." in set(items["words"])
+    turned = ["late", "deceptive", "underhanded", "suspicious", "wary", "harmful"]
+    assert items.query("reversed")["item"].tolist() == turned
 
 
 def test_a_folder_that_is_not_there_is_named(rehearsed, tmp_path):

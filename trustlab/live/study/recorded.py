@@ -624,8 +624,11 @@ def items_of(pages: list[StudyPage]) -> pd.DataFrame:
     """Return every item that people were asked, with its words."""
     rows = []
     for page in pages:
+        # Items of a printed questionnaire do not say so themselves.
+        turned = page.questionnaire.reversed if page.scored else ()
         for item in page.items:
             expected = "" if item.expected is None else str(item.expected)
             more = {"choices": "; ".join(item.choices), "expected": expected}
-            rows.append({"page": page.name, **vars(item), **more})
+            own = {"page": page.name, **vars(item), "reversed": item.name in turned}
+            rows.append(own | more)
     return pd.DataFrame(rows).rename(columns={"name": "item", "text": "words"})
