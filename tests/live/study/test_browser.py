@@ -236,6 +236,16 @@ def test_a_closed_tab_loses_nothing_and_another_browser_goes_on(served, browser)
     assert [pause["why"] for pause in record(plan).pauses].count("begun again") >= 1
 
 
+def test_a_double_click_takes_one_place(make_plan, browser):
+    plan = make_plan()
+    with StudyServer(plan, enrol=True) as server:
+        page = opened(browser.new_context(), server.overview()["join"])
+        page.dblclick("button")
+        next_page(page)
+        time.sleep(0.3)  # a second request would be answered by now
+    assert tl.read_live_study(plan.folder).participants["completion"].astype(bool).sum() == 1
+
+
 def go_on_after_reload(page, number):
     page.reload()
     next_page(page, number - 1)

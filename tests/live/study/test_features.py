@@ -103,6 +103,8 @@ def test_who_joins_takes_the_next_free_place_and_gets_a_code(make_plan, serving,
         assert {"HttpOnly", "SameSite=Strict", "Path=/join"} <= set(cookie.split("; "))
         again = client(join, Cookie=cookie.partition(";")[0])
         assert (again.status, again.headers["Location"]) == (302, places[0].json["link"])
+        other_tab = client(join, {}, Cookie=cookie.partition(";")[0])
+        assert other_tab.json == places[0].json
         assert client(join.replace("/join/", "/p/")).status == 404
         assert served.withdraw().status == 200
         shown = served.state().json

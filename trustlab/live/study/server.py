@@ -217,8 +217,7 @@ class Join(Frame):
 
     def get(self, token: str) -> None:
         """Answer with the page that asks, or lead to the place that was taken."""
-        place = self.get_cookie("place", "")
-        if self.server.holder(place) in self.server.plan.orders:
+        if place := self.place():
             self.redirect(f"/p/{place}")
         else:
             super().get(token)
@@ -227,8 +226,13 @@ class Join(Frame):
         """Take the next free place."""
         await self.reply(self._place())
 
+    def place(self) -> str:
+        """Return the place that this browser has taken already, "" for none."""
+        place = self.get_cookie("place", "")
+        return place if self.server.holder(place) in self.server.plan.orders else ""
+
     async def _place(self) -> dict:
-        place = await self.server.free_place()
+        place = self.place() or await self.server.free_place()
         self.set_cookie("place", place, httponly=True, samesite="Strict", path="/join")
         return {"link": f"/p/{place}"}
 
