@@ -135,10 +135,13 @@ def test_three_people_at_once_from_consent_to_report(make_plan, browser):
         until(experimenter, "document.querySelectorAll('tbody tr').length === 3")
         until(experimenter, "document.body.innerText.split('Thank you').length === 4")
         assert " of " not in experimenter.inner_text("tbody tr td:nth-child(3)")
+        assert experimenter.query_selector_all("text=/^End$/") == [], "who is done cannot be ended"
+        server.participants["P01"].experimenter_end({})
         assert experimenter.faults == []
     study = tl.read_live_study(plan.folder)
     measures = study.measures.sort_values(["participant", "position"])
     assert study.participants["complete"].all()
+    assert not study.participants["ended"].any()
     assert measures["verified"].all()
     assert measures.groupby("participant")["condition"].agg(list).to_dict() == plan.orders
     answers = study.answers()

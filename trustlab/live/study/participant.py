@@ -358,7 +358,7 @@ class Participant:
             self.add("model", page=step.index, attempt=attempt.number, **model)
 
     def _end(self, source: str) -> None:
-        if not self.progress.ended:
+        if self.step.page.kind != "end":
             self.add("end", source=source, page=self.step.index)
         self._finish("the participation ended")
 
