@@ -153,7 +153,7 @@ def test_three_people_at_once_from_consent_to_report(make_plan, browser):
 def check_report(study, browser):
     """The report is complete in itself, and shows what people wrote as words."""
     path = study.report()
-    page = browser.new_page()
+    page = browser.new_page(viewport={"width": 400, "height": 700})
     fetched = []
     page.route("**/*", lambda route: (fetched.append(route.request.url), route.continue_()))
     page.goto(path.as_uri())
@@ -163,10 +163,12 @@ def check_report(study, browser):
     assert [url for url in fetched if not url.startswith(("data:", path.as_uri()))] == []
     assert "scripted hands, no person took part" in words
     assert "0 deleted" in words
+    assert page.evaluate("document.body.scrollWidth <= innerWidth"), "tables scroll within"
+    assert "Out[" not in words
     headings = ["Who took part", "Measures by condition", "Questionnaires", "Order effects"]
     for heading in [*headings, "What people wrote"]:
         assert heading in words
-    assert re.search(r"p_r by condition.*\(N = 3\)", words), words[1000:2500]
+    assert re.search(r"p_r by condition: \[.*\(N = 3\)", words), words[1000:2500]
     assert str(study.plan.folder.parent) not in path.read_text()
 
 
