@@ -100,7 +100,8 @@ export function play(root, open, on) {
     advance();
     if (playout.past.length && !newest.over) {
       playout.tick(time());
-      const late = (1000 * config.late) / dt,
+      // A period's command is made at its end, so that the clock is a period ahead of the task.
+      const late = (1000 * config.late) / dt + 1,
         picture = playout.at(time(), late);
       seen = picture.shown;
       task.draw(picture, playout.at(time(), 0), newest);
