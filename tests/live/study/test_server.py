@@ -530,7 +530,7 @@ def test_random_bodies_and_messages_make_no_mistake(served, client, page, count)
     for text in [*texts, *(json.dumps(nonsense(rng)) for _ in range(count))]:
         page.socket.send(text)
         answer = json.loads(page.socket.recv())
-        assert {"refused", "k", "done"} & set(answer), answer
+        assert {"refused", "other_window", "k", "done"} & set(answer), answer
         assert text not in texts or "refused" in answer
     assert record(served.plan).commands == []
     assert served.server.mistakes == []

@@ -47,6 +47,7 @@ export function play(root, open, on) {
   function heard(answer) {
     if (over) return;
     if (answer.refused) return stop(answer.refused);
+    if (answer.other_window) return stop(config.words.other_window);
     if (answer.k === undefined) return stop(""); // over, or begun again elsewhere
     if (!task) begin(answer);
     on.heard(answer);

@@ -629,6 +629,5 @@ def items_of(pages: list[StudyPage]) -> pd.DataFrame:
         for item in page.items:
             expected = "" if item.expected is None else str(item.expected)
             more = {"choices": "; ".join(item.choices), "expected": expected}
-            own = {"page": page.name, **vars(item), "reversed": item.name in turned}
-            rows.append(own | more)
+            rows.append({"page": page.name, **vars(item), "reversed": item.name in turned, **more})
     return pd.DataFrame(rows).rename(columns={"name": "item", "text": "words"})

@@ -201,8 +201,7 @@ class LeadingRun:
         self.leader = self.loop.robots.index(self.loop.leader) + 1
         places, goal = self.loop.positions[:, :2], self.goal
         error = float(np.hypot(*(places - goal).T).max())
-        if error <= self.config["tolerance"]:
-            self.reached += 1
+        self.reached += error <= self.config["tolerance"]
         vectors = (places[self.leader - 1], places.mean(axis=0), goal, state.f_m[:2])
         return [
             *command,
