@@ -26,7 +26,7 @@ from trustlab.ros import (
     read_run,
     read_toml,
 )
-from trustlab.ros.__main__ import recover
+from trustlab.ros.__main__ import main, recover
 from trustlab.ros.node import Recorder
 from trustlab.ros.recorded import log_entry
 from trustlab.ros.run import RUN
@@ -505,14 +505,21 @@ def test_a_toml_file_states_a_run(tmp_path):
         ('topic = "/base/odom"', "scale = [nan, 1]", "[topics.odometry] scale must be finite"),
         ("[topics]", "[topics.command]\nbest_effort = true\n[topics]", "command: best_effort"),
         ("[facts]", "[facts]\nnotes = 3", "run.toml: [the run] facts: 'notes'"),
+        ("published = 2", "session = 3", "3: there is no file at this path"),
+        ('"/base/odom"', "3", "[topics.odometry] topic must be of class str, got int"),
+        ('topic = "/base/odom"', 'fields = "x"', "[topics.odometry] fields must be a list"),
     ],
 )
-def test_a_fault_in_the_file_is_named(tmp_path, before, after, words):
+def test_a_fault_in_the_file_is_named(tmp_path, monkeypatch, capsys, before, after, words):
     file = tmp_path / "run.toml"
     assert before in TOML
     file.write_text(TOML.replace(before, after))
     with pytest.raises(ValueError, match=re.escape(words)):
         read_toml(file)
+    monkeypatch.setattr("sys.argv", ["trustlab.ros", str(file)])
+    with pytest.raises(SystemExit):
+        main()
+    assert words in capsys.readouterr().err
 
 
 def test_measures_join_those_of_a_virtual_study(node, tmp_path):

@@ -113,7 +113,7 @@ class LiveCondition:
                 raise ValueError("notice has no effect without forced=True; leave it out")
         elif self.suggestions == "none":
             raise ValueError(
-                'forced=True needs suggestions="tsc" or "performance": there is nothing to follow'
+                "forced=True has no effect without suggestions: there is nothing to follow"
             )
 
     def _check_rule(self, weights: Mapping[str, float]) -> None:

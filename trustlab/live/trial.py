@@ -21,8 +21,6 @@ STILL = 0.4
 SAME = 1e-9
 """How far a signal of a replay may lie from the logged one; decisions are equal."""
 
-OTHER_WINDOW = "This drive goes on in another window. Close this one, or start it again here."
-
 
 @cache
 def made_by() -> dict[str, str]:
@@ -232,7 +230,7 @@ class Trial:
         -------
         dict
             "k", how many commands are done; "done", whether the run is at its end; "picture", what
-            the page draws. Or "refused", why this window must not go on.
+            the page draws. Or "other_window", if another one drives by now.
 
         Raises
         ------
@@ -248,7 +246,7 @@ class Trial:
             elif "begin" in message:
                 self._keep(window=window)
             elif window != self.record.window:
-                return {"refused": OTHER_WINDOW}
+                return {"other_window": True}
             elif "note" in message:
                 self._keep(note=str(message["note"])[:200])
             elif "commands" in message:

@@ -22,7 +22,10 @@ def main() -> None:
     options = parser.parse_args()
     if not options.duration > 0.0:
         parser.error(f"--duration must be positive, got {options.duration}")
-    run = read_toml(options.run)
+    try:
+        run = read_toml(options.run)
+    except ValueError as error:
+        parser.error(str(error))
     folder = Path(options.folder)
     folder.mkdir(parents=True, exist_ok=True)
     recover(folder)

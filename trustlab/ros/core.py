@@ -383,7 +383,7 @@ class AllocationCore:
             If the input is unknown, the number of values is wrong, or the clock not finite.
         """
         one_of("name", name, FIELDS)
-        values = tuple(float(value) for value in values)
+        values = tuple(map(float, values))
         if len(values) != len(FIELDS[name]):
             raise ValueError(f"{name} needs {', '.join(FIELDS[name])}; got {len(values)} values")
         self.now = max(self.now, finite_number("now", now))

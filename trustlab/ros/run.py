@@ -1,9 +1,8 @@
 """What a run is set to: model, condition, bounds and topics, from a TOML file or its tables."""
 
-import dataclasses
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from pkgutil import resolve_name
@@ -11,7 +10,7 @@ from typing import Any
 
 from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.allocation.limits import threshold_pair
-from trustlab.models.checks import Checked, finite_array, one_of, shown
+from trustlab.models.checks import Checked, finite_array, of_class, one_of, shown
 from trustlab.models.published import published_models
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 from trustlab.ros.core import FIELDS, AllocationCore, CoreSettings, Watchdog
@@ -54,6 +53,9 @@ class Topic(Checked):
 
     def __post_init__(self):
         super().__post_init__()
+        of_class("topic", self.topic, str)
+        if not isinstance(self.fields, list | tuple):
+            raise ValueError(f"fields must be a list, got {shown(self.fields)}")
         one_of("stamp", self.stamp, ("header", "receive"))
         if self.scale:
             finite_array("scale", self.scale, length=len(self.fields))
@@ -244,7 +246,7 @@ class RunSettings(Checked):
             watchdogs[name] = _made(Watchdog, f"settings.watchdogs.{name}", table)
         values["model"], fitted = _model_of(values["model"], folder)
         for name, table in topics.items():
-            changed = partial(dataclasses.replace, TOPICS[one_of("[topics]", name, TOPICS)])
+            changed = partial(replace, TOPICS[one_of("[topics]", name, TOPICS)])
             topics[name] = _made(changed, f"topics.{name}", table)
         settings = fitted | settings | {"watchdogs": watchdogs}
         values["settings"] = _made(CoreSettings, "settings", settings)
@@ -253,7 +255,7 @@ class RunSettings(Checked):
     def tables(self) -> dict:
         """Return the run as plain tables; of a rule without a name nothing is left."""
         name = self.rule if isinstance(self.rule, str) else None
-        return dataclasses.asdict(dataclasses.replace(self, rule=name))
+        return asdict(replace(self, rule=name))
 
     def types(self) -> dict[str, str]:
         """Return the types of the messages of every topic recorded."""
@@ -267,7 +269,7 @@ class RunSettings(Checked):
         if isinstance(rule, str):
             rule = _made(_imported(rule), "rule", {})
         allocation = self.model, self.condition, self.thresholds, rule, correction
-        trial = AllocationCore(*allocation, dataclasses.replace(self.settings, wait=0.0))
+        trial = AllocationCore(*allocation, replace(self.settings, wait=0.0))
         for name, fields in FIELDS.items():
             trial.hear(name, 0.0, (0.0,) * len(fields), 0.0)
         trial.step(0.0)
@@ -313,7 +315,7 @@ def _model_of(table: Mapping, folder: Path) -> tuple[Any, dict]:
         from trustlab.identification.tsc import fit_tsc
         from trustlab.sessions.reading import read_session
 
-        session = read_session(folder / table["session"])
+        session = read_session(folder / str(table["session"]))
         fit = fit_tsc(session)
         if not fit.success:
             raise ValueError(f"{table['session']} gives no model: {fit.message}")

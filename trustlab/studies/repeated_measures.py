@@ -90,8 +90,7 @@ class RepeatedMeasures(Tested):
     @property
     def title(self) -> str:
         """The measure and the factors."""
-        origin = f" [{self.origin}]" if self.origin else ""
-        return f"{self.dv} by {', '.join(map(str, [*self.within, *self.between]))}{origin}"
+        return f"{self.dv} by {', '.join(map(str, [*self.within, *self.between]))}"
 
     def _refuse_several_factors(self, name: str) -> None:
         if not self.one_way:

@@ -42,6 +42,18 @@ PANELS = {
 MEANS = ("p_r", "p_h", "r", "tsc", "path_error")
 
 
+def suggestions_followed(t: np.ndarray, choice: Any, suggested: Any) -> dict[str, float]:
+    """
+    Return how many suggestions of a choice, −1 for none, were followed or not, and the percentage
+    that was followed within 15 s, NaN without any.
+    """
+    states = [state for *_, state in suggestion_episodes(t, choice, suggested, DEADLINE)]
+    followed = states.count(FOLLOWED)
+    decided = followed + states.count(NOT_FOLLOWED)
+    share = 100.0 * followed / decided if decided else np.nan
+    return {"suggestions": decided, "followed_percent": share}
+
+
 def condition_measures(
     log: Any,
     t: np.ndarray,
@@ -65,15 +77,11 @@ def condition_measures(
         measures["speed"] = float(log["step_distance"].mean()) / SAMPLE_TIME
         measures["laps"] = int(lap_times.size)
         measures["lap_time"] = float(lap_times[-1] / lap_times.size) if lap_times.size else np.nan
-    states = [state for *_, state in suggestion_episodes(t, mode, log["suggested_mode"], DEADLINE)]
-    followed = states.count(FOLLOWED)
-    decided = followed + states.count(NOT_FOLLOWED)
-    measures["suggestions"] = decided
-    measures["followed_percent"] = 100.0 * followed / decided if decided else np.nan
+    measures |= suggestions_followed(t, mode, log["suggested_mode"])
     if operator is not None and (operator.load_utilization or operator.load_switching):
         # Nobody judges a user's rule.
         scheme, forced = KNOWN.get(condition, (SCHEDULE, True))
-        judged = 0 if forced else switches if scheme == OWN else decided
+        judged = 0 if forced else switches if scheme == OWN else measures["suggestions"]
         measures |= allocation_answers(mode, log["tsc"], measures, judged, operator, model)
     return measures
 

@@ -113,7 +113,8 @@ def test_three_people_at_once_from_consent_to_report(make_plan, browser):
     brief = {"training": 5.0, "identification": [(1, 5.0), (0, 5.0)], "course": course}
     plan = make_plan(rehearsal=True, **brief)
     with StudyServer(plan) as server:
-        experimenter = opened(browser.new_context(), server.experimenter)
+        phone = browser.new_context(viewport={"width": 400, "height": 700})
+        experimenter = opened(phone, server.experimenter)
         people = {code: opened(browser.new_context(), url) for code, url in server.links().items()}
         where = dict.fromkeys(people, -1)
         end = time.monotonic() + 240
@@ -135,10 +136,14 @@ def test_three_people_at_once_from_consent_to_report(make_plan, browser):
         until(experimenter, "document.querySelectorAll('tbody tr').length === 3")
         until(experimenter, "document.body.innerText.split('Thank you').length === 4")
         assert " of " not in experimenter.inner_text("tbody tr td:nth-child(3)")
+        assert experimenter.query_selector_all("text=/^End$/") == [], "who is done cannot be ended"
+        server.participants["P01"].experimenter_end({})
+        assert experimenter.evaluate("document.body.scrollWidth <= innerWidth")
         assert experimenter.faults == []
     study = tl.read_live_study(plan.folder)
     measures = study.measures.sort_values(["participant", "position"])
     assert study.participants["complete"].all()
+    assert not study.participants["ended"].any()
     assert measures["verified"].all()
     assert measures.groupby("participant")["condition"].agg(list).to_dict() == plan.orders
     answers = study.answers()
@@ -150,7 +155,7 @@ def test_three_people_at_once_from_consent_to_report(make_plan, browser):
 def check_report(study, browser):
     """The report is complete in itself, and shows what people wrote as words."""
     path = study.report()
-    page = browser.new_page()
+    page = browser.new_page(viewport={"width": 400, "height": 700})
     fetched = []
     page.route("**/*", lambda route: (fetched.append(route.request.url), route.continue_()))
     page.goto(path.as_uri())
@@ -160,10 +165,12 @@ def check_report(study, browser):
     assert [url for url in fetched if not url.startswith(("data:", path.as_uri()))] == []
     assert "scripted hands, no person took part" in words
     assert "0 deleted" in words
+    assert page.evaluate("document.body.scrollWidth <= innerWidth"), "tables scroll within"
+    assert "Out[" not in words
     headings = ["Who took part", "Measures by condition", "Questionnaires", "Order effects"]
     for heading in [*headings, "What people wrote"]:
         assert heading in words
-    assert re.search(r"p_r by condition.*\(N = 3\)", words), words[1000:2500]
+    assert re.search(r"p_r by condition: \[.*\(N = 3\)", words), words[1000:2500]
     assert str(study.plan.folder.parent) not in path.read_text()
 
 
@@ -270,9 +277,10 @@ def test_a_reload_takes_back_no_share(tmp_path, browser):
         until(page, f"{K} > {page.evaluate(K) + 4}")
         go_on_after_reload(page, number)
         until(page, f"{K} > {page.evaluate(K) + 4}")
-        commands = record(plan, code, f"{number:02d}-drive").commands
-        assert commands[0][2] == 1.0
-        assert commands[-1][2] == pytest.approx(0.8)
+        log = record(plan, code, f"{number:02d}-drive")
+        assert log.commands[0][2] == 1.0
+        assert log.commands[-1][2] == pytest.approx(0.8)
+        assert min(log.delays) > 0.099, "nobody sees what the camera does not show yet"
         assert page.faults == []
 
 
@@ -379,10 +387,11 @@ def test_what_the_experimenter_does_reaches_the_page(served, browser):
     assert page.faults == []
 
 
-def test_a_study_in_german_and_a_participant_who_declines(make_plan, browser):
+def test_a_study_in_german_and_a_participant_who_joins_once_and_declines(make_plan, browser):
     plan = make_plan(language="de")
-    with StudyServer(plan) as server:
-        page = opened(browser.new_context(), server.links()["P01"])
+    with StudyServer(plan, enrol=True) as server:
+        page = opened(browser.new_context(), server.overview()["join"])
+        page.dblclick("button")
         next_page(page)
         assert page.evaluate("document.documentElement.lang") == "de"
         assert page.inner_text("form button") == "Weiter"
@@ -398,7 +407,9 @@ def test_a_study_in_german_and_a_participant_who_declines(make_plan, browser):
         driver.on("dialog", lambda dialog: dialog.accept())
         driver.click("text=Teilnahme beenden")
         until(driver, "document.querySelector('h1')?.textContent.includes('beendet')")
-    assert tl.read_live_study(plan.folder).participants["withdrawn"].tolist() == [True, True, False]
+    people = tl.read_live_study(plan.folder).participants
+    assert people["withdrawn"].tolist() == [True, True, False]
+    assert people["completion"].astype(bool).tolist() == [True, False, False]
 
 
 def test_a_full_disk_is_said_on_both_pages_and_loses_nothing(served, browser, full_disk):

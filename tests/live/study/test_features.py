@@ -1,5 +1,5 @@
 """
-From the plan to the report: groups, enrolment, attention; where a participant is.
+From the plan to the report: groups, enrolment; where a participant is.
 
 Oracles: counting; R's design of a mixed analysis as `repeated_measures` is tested for; what
 happened, written out, and the order in which it may not matter.
@@ -17,17 +17,8 @@ from trustlab.live.study.participant import Participant, progress_of
 
 
 PAGES = """
-[hurry]
-after = "consent"
-title = "Quickly"
-text = "Answer at once."
-items = [
-    {name = "first", text = "First?", low = 1, high = 5},
-    {name = "second", text = "Write no.", kind = "text", expected = "no"},
-]
-
 [secret]
-after = "hurry"
+after = "consent"
 title = "A secret"
 text = "The robot lies."
 group = "told"
@@ -79,16 +70,6 @@ def test_groups_are_the_factor_between_subjects(make_team_plan):
         study.analysis("forces")
 
 
-def test_checks_of_attention_are_counted(make_plan, pages):
-    plan = make_plan(participants={"told": 2, "untold": 2}, pages=pages)
-    participation = Participant(plan, "P01")
-    participation.answers({"page": 0, "answers": {"consent": True}})
-    participation.answers({"page": 1, "answers": {"first": 2, "second": "yes"}})
-    study = tl.read_live_study(plan.folder)
-    assert study.answers().query("page == 'hurry'")["item"].tolist() == ["first", "second"]
-    assert study.participants["attention"].tolist() == [1, 0, 0, 0]
-
-
 def test_who_joins_takes_the_next_free_place_and_gets_a_code(make_plan, serving, client):
     plan = make_plan(participants=2)
     with serving(plan, enrol=True) as served:
@@ -103,6 +84,8 @@ def test_who_joins_takes_the_next_free_place_and_gets_a_code(make_plan, serving,
         assert {"HttpOnly", "SameSite=Strict", "Path=/join"} <= set(cookie.split("; "))
         again = client(join, Cookie=cookie.partition(";")[0])
         assert (again.status, again.headers["Location"]) == (302, places[0].json["link"])
+        other_tab = client(join, {}, Cookie=cookie.partition(";")[0])
+        assert other_tab.json == places[0].json
         assert client(join.replace("/join/", "/p/")).status == 404
         assert served.withdraw().status == 200
         shown = served.state().json

@@ -143,6 +143,8 @@ def test_the_export_holds_what_the_tables_do_and_says_what_it_means(rehearsed, t
     np.testing.assert_array_equal(drive["p_r"], session["p_r"])
     items = pd.read_csv(io.BytesIO(archive.read("items.csv")))
     assert "The robot is deceptive." in set(items["words"])
+    turned = ["late", "deceptive", "underhanded", "suspicious", "wary", "harmful"]
+    assert items.query("reversed")["item"].tolist() == turned
 
 
 def test_a_folder_that_is_not_there_is_named(rehearsed, tmp_path):
@@ -216,11 +218,12 @@ items = [
     {name = "a", text = "A"},
     {name = "b", text = "B"},
     {name = "attention", text = "Mark 5 here.", expected = 5},
+    {name = "words", text = "Write no.", kind = "text", expected = "no"},
 ]
 """
 
 
-def test_checks_of_attention_do_not_count_and_scores_before_drives_are_in_a_table(
+def test_checks_of_attention_are_counted_and_not_scored_and_scores_before_drives_are_in_a_table(
     make_team_plan, tmp_path
 ):
     """Oracle: the mean of 1 and 1."""
@@ -228,9 +231,10 @@ def test_checks_of_attention_do_not_count_and_scores_before_drives_are_in_a_tabl
     plan = make_team_plan(pages=tmp_path / "pages.toml")
     who = Participant(plan, "P01")
     who.answers({"page": 0, "answers": {"consent": True}})
-    who.answers({"page": 1, "answers": {"a": 1, "b": 1, "attention": 5}})
-    study = tl.read_live_study(plan.folder)
-    assert study.participants["own_mean"].tolist() == pytest.approx([1.0, np.nan], nan_ok=True)
+    who.answers({"page": 1, "answers": {"a": 1, "b": 1, "attention": 5, "words": "yes"}})
+    people = tl.read_live_study(plan.folder).participants
+    assert people["own_mean"].tolist() == pytest.approx([1.0, np.nan], nan_ok=True)
+    assert people["attention"].tolist() == [1, 0]
 
 
 def test_two_pages_of_one_questionnaire_have_scores_of_their_own(make_team_plan, tmp_path):

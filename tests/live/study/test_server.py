@@ -362,7 +362,7 @@ def test_all_that_people_see_is_in_the_language_of_the_study(make_plan, serving,
         assert "<title>Eine Studie</title>" in page
         assert "Studie öffnen" in page
         lost = client(f"{served.base}/p/{'x' * 22}", Accept="text/html").content.decode()
-        assert "Dieser Link führt zu keiner Studie" in lost
+        assert lost.count("Dieser Link führt zu keiner Studie") == 2
         assert client(join, {}).status == 200
         assert client(join, {}).json["error"].startswith("Alle Plätze dieser Studie sind vergeben")
     with serving(plan) as served:
@@ -530,7 +530,7 @@ def test_random_bodies_and_messages_make_no_mistake(served, client, page, count)
     for text in [*texts, *(json.dumps(nonsense(rng)) for _ in range(count))]:
         page.socket.send(text)
         answer = json.loads(page.socket.recv())
-        assert {"refused", "k", "done"} & set(answer), answer
+        assert {"refused", "other_window", "k", "done"} & set(answer), answer
         assert text not in texts or "refused" in answer
     assert record(served.plan).commands == []
     assert served.server.mistakes == []

@@ -99,10 +99,12 @@ def test_policies_lead_where_they_should_and_suggest_where_they_should():
         free = session["may_switch"] > 0
         assert (session["leader"] == session[f"leader_{condition}"])[free].all()
         assert not session["leader_suggested"].any()
-    config = configured("team", "suggested", **SHORT["team"])
-    session = session_of(config, [[1.0, 0.0, 0]] * config["samples"])
+    config = configured("team", "suggested", duration=25.0)
+    session = session_of(config, [[1.0, 0.0, 3]] * config["samples"])
     suggested = session["leader_suggested"]
-    assert set(session["leader"]) == {1}, "nothing was accepted"
+    assert set(session["leader"]) == {3}, "nothing was accepted"
+    measures = task_named("team").measures(session.between(1.0, 25.0))
+    assert (measures["suggestions"], measures["followed_percent"]) == (1, 0.0)
     pick = session["leader_hysteresis"]
     stands = (session["may_switch"] > 0) & (pick != session["leader"])
     assert (suggested[stands] == pick[stands]).all()

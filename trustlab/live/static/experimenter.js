@@ -28,7 +28,7 @@ function buttons(who) {
     const text = prompt(`A note about ${participant}`);
     if (text?.trim()) act({ participant, action: "note", text });
   });
-  if (!who.ended)
+  if (who.page < who.pages)
     button(
       "End",
       () =>
@@ -84,7 +84,7 @@ function update(who) {
   drive.textContent = pace(who);
   model.textContent = who.model ? `${who.model}${who.why ? `: ${who.why}` : ""}` : "";
   model.className = who.why ? "away" : "";
-  const parts = JSON.stringify([who.drives, who.notes, who.ended]);
+  const parts = JSON.stringify([who.drives, who.notes, who.page < who.pages]);
   if (parts !== person.made) {
     const words = who.notes.map((note) =>
       element("p", { textContent: note.text ?? `${note.file}: ${note.bytes} bytes cut off` }),

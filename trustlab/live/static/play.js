@@ -47,6 +47,7 @@ export function play(root, open, on) {
   function heard(answer) {
     if (over) return;
     if (answer.refused) return stop(answer.refused);
+    if (answer.other_window) return stop(config.words.other_window);
     if (answer.k === undefined) return stop(""); // over, or begun again elsewhere
     if (!task) begin(answer);
     on.heard(answer);
@@ -100,7 +101,8 @@ export function play(root, open, on) {
     advance();
     if (playout.past.length && !newest.over) {
       playout.tick(time());
-      const late = (1000 * config.late) / dt,
+      // A period's command is made at its end, so that the clock is a period ahead of the task.
+      const late = (1000 * config.late) / dt + 1,
         picture = playout.at(time(), late);
       seen = picture.shown;
       task.draw(picture, playout.at(time(), 0), newest);

@@ -358,7 +358,7 @@ class Participant:
             self.add("model", page=step.index, attempt=attempt.number, **model)
 
     def _end(self, source: str) -> None:
-        if not self.progress.ended:
+        if self.step.page.kind != "end":
             self.add("end", source=source, page=self.step.index)
         self._finish("the participation ended")
 
@@ -409,9 +409,6 @@ class Participant:
         """Return what the experimenter sees of this participant."""
         progress, step = self.progress, self.step
         trial = self.trial
-        drives = [
-            {"page": each.step.index, "title": each.step.page.title} for each in self._begun()
-        ]
         model = progress.model or {}
         ago = None if self.last_request is None else round(time.time() - self.last_request, 1)
         return {
@@ -427,7 +424,9 @@ class Participant:
             "withdrawn": progress.withdrawn,
             "model": model.get("source", ""),
             "why": model.get("why", ""),
-            "drives": drives,
+            "drives": [
+                {"page": each.step.index, "title": each.step.page.title} for each in self._begun()
+            ],
             "notes": progress.notes[-5:],
             "pauses": 0 if trial is None else len(trial.record.pauses),
             "delay": trial.record.delays[-1] if trial and trial.record.delays else None,

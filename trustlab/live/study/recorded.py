@@ -66,8 +66,8 @@ HEAD = f"""<!DOCTYPE html>
 body {{ max-width: 62rem; margin: auto; padding: 1rem; font: 1rem/1.5 sans-serif; }}
 table {{ border-collapse: collapse; font-size: .85rem; }}
 td, th {{ padding: .1rem .5rem; text-align: right; border-bottom: 1px solid #8885; }}
-.jp-OutputArea-output, .jp-RenderedMarkdown {{ overflow-x: auto; }}
-.jp-InputPrompt, .jp-OutputPrompt, .anchor-link {{ display: none; }}
+.output_subarea, .text_cell_render {{ overflow-x: auto; }}
+.prompt, .anchor-link {{ display: none; }}
 img {{ max-width: 100%; background: #fff; }} h1, h2, h3 {{ line-height: 1.2; }}
 </style></head><body><main>
 """
@@ -624,8 +624,10 @@ def items_of(pages: list[StudyPage]) -> pd.DataFrame:
     """Return every item that people were asked, with its words."""
     rows = []
     for page in pages:
+        # Items of a printed questionnaire do not say so themselves.
+        turned = page.questionnaire.reversed if page.scored else ()
         for item in page.items:
             expected = "" if item.expected is None else str(item.expected)
             more = {"choices": "; ".join(item.choices), "expected": expected}
-            rows.append({"page": page.name, **vars(item), **more})
+            rows.append({"page": page.name, **vars(item), "reversed": item.name in turned, **more})
     return pd.DataFrame(rows).rename(columns={"name": "item", "text": "words"})

@@ -36,7 +36,7 @@ from trustlab.live.study.plan import (
     tokens_path,
 )
 from trustlab.live.task import prepare
-from trustlab.live.trial import OTHER_WINDOW, made_by
+from trustlab.live.trial import made_by
 from trustlab.models.checks import flag, shown, whole_number
 from trustlab.models.extras import extra
 
@@ -193,20 +193,15 @@ def parsed(text: str | bytes) -> dict:
     return body
 
 
-class Static(Base):
-    """Scripts and style sheet: files known by name when the server starts, and no others."""
-
-    def get(self, name: str) -> None:
-        """Answer with the file."""
-        self.page(name)
-
-
 class Frame(Base):
-    """The page that a link opens, which its script fills."""
+    """
+    The page that a link opens, which its script fills; scripts and style sheet are known by name
+    when the server starts, and no others.
+    """
 
     def get(self, token: str) -> None:
-        """Answer with the frame."""
-        self.page(self.name)
+        """Answer with the page, or where none belongs to the address, the file called so."""
+        self.page(self.name or token)
 
 
 class Join(Frame):
@@ -217,8 +212,7 @@ class Join(Frame):
 
     def get(self, token: str) -> None:
         """Answer with the page that asks, or lead to the place that was taken."""
-        place = self.get_cookie("place", "")
-        if self.server.holder(place) in self.server.plan.orders:
+        if place := self.place():
             self.redirect(f"/p/{place}")
         else:
             super().get(token)
@@ -227,8 +221,13 @@ class Join(Frame):
         """Take the next free place."""
         await self.reply(self._place())
 
+    def place(self) -> str:
+        """Return the place that this browser has taken already, "" for none."""
+        place = self.get_cookie("place", "")
+        return place if self.server.holder(place) in self.server.plan.orders else ""
+
     async def _place(self) -> dict:
-        place = await self.server.free_place()
+        place = self.place() or await self.server.free_place()
         self.set_cookie("place", place, httponly=True, samesite="Strict", path="/join")
         return {"link": f"/p/{place}"}
 
@@ -293,8 +292,6 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
             answer = {"done": True}
         except ValueError as error:
             answer = {"refused": words["stopped"].replace("{error}", str(error))}
-        if answer.get("refused") == OTHER_WINDOW:
-            answer["refused"] = words["other_window"]
         with suppress(tornado.websocket.WebSocketClosedError):  # the page was left meanwhile
             await self.write_message(json.dumps(answer))
 
@@ -393,12 +390,8 @@ class StudyServer:
 
     async def ask(self, code: str, request: str, body: dict) -> Any:
         """Let a participant answer a request, in a thread, after those before it."""
-
-        def answer() -> Any:
-            return getattr(self.participant(code), request)(body)
-
         async with self.queues.setdefault(code, asyncio.Lock()):
-            return await asyncio.to_thread(answer)
+            return await asyncio.to_thread(lambda: getattr(self.participant(code), request)(body))
 
     async def free_place(self) -> str:
         """Take the place of the next participant whom nobody is yet, and return its token."""
@@ -484,7 +477,7 @@ class StudyServer:
         anybody: dict = {"allowed": (JOIN,) if self.enrol else ()}
         return tornado.web.Application(
             [
-                (r"/static/([a-z_]+\.[a-z]+)", Static),
+                (r"/static/([a-z_]+\.[a-z]+)", Frame),
                 (rf"/p/{token}", Frame, people | {"name": "study.html"}),
                 (rf"/p/{token}/state", State, people),
                 (rf"/p/{token}/(answers|withdraw)", Tell, people),

@@ -406,8 +406,8 @@ class Drive:
     def picture(self) -> dict:
         """Return the pose, the way along the course [m], the laps and the last row."""
         state = self.state
-        place = {"x": state["place"].real, "y": state["place"].imag}
-        pose = place | {name: state[name] for name in ("yaw", "arc")}
+        place = state["place"]
+        pose = {"x": place.real, "y": place.imag, "yaw": state["yaw"], "arc": state["arc"]}
         pose = {name: round(float(value), 5) for name, value in pose.items()}
         row = [round(value, 4) for value in self.row] or None
         return {**pose, "laps": int(state["laps"]), "row": row}
@@ -425,8 +425,8 @@ def _facts(task: Task, switching: Switching) -> dict:
     if task.scheme == TSC:
         facts |= {"TSC_l": task.lower, "TSC_u": task.upper}
     if task.scheme == SCORE:
-        weights = {signal: getattr(switching, signal) for signal in SIGNALS}
-        facts["rule"] = {signal: weight for signal, weight in weights.items() if weight}
+        weights = switching._asdict()
+        facts["rule"] = {signal: weights[signal] for signal in SIGNALS if weights[signal]}
         facts["rule_thresholds"] = [task.lower, task.upper]
     return facts
 

@@ -26,6 +26,7 @@ from trustlab.teleoperation.team.settings import (
     TeamSettings,
     TeamTrial,
 )
+from trustlab.testbeds.condition_run import suggestions_followed
 from trustlab.testbeds.robot_team import TeamLoop
 
 BY_HAND, SUGGESTED = "by_hand", "suggested"
@@ -200,8 +201,7 @@ class LeadingRun:
         self.leader = self.loop.robots.index(self.loop.leader) + 1
         places, goal = self.loop.positions[:, :2], self.goal
         error = float(np.hypot(*(places - goal).T).max())
-        if error <= self.config["tolerance"]:
-            self.reached += 1
+        self.reached += error <= self.config["tolerance"]
         vectors = (places[self.leader - 1], places.mean(axis=0), goal, state.f_m[:2])
         return [
             *command,
@@ -270,20 +270,18 @@ def _goals(count: int, rng: np.random.Generator) -> list[list[float]]:
 def team_measures(session: Session) -> dict[str, float]:
     """
     Return the time that the run took, the way of the team's middle, goals reached, the mean
-    distance to the goal, switches, suggestions, and the root mean square of the force shown.
+    distance to the goal, switches, suggestions and how many of them were followed, counted as in
+    `run_condition`, and the root mean square of the force shown.
     """
     leader, suggested = session["leader"], session["leader_suggested"]
     moves = np.diff(np.column_stack([session["team_x"], session["team_y"]]), axis=0)
-    ends = np.flatnonzero((suggested[:-1] > 0) & (suggested[1:] != suggested[:-1]))
-    followed = int((leader[ends + 1] == suggested[ends]).sum())
     return {
         "duration": len(session) * session.sample_time,
         "path": float(np.hypot(*moves.T).sum()),
         "goals_reached": int(session["goals_reached"][-1]),
         "path_error": float(session["path_error"].mean()),
         "switches": int(np.count_nonzero(np.diff(leader))),
-        "suggestions": len(ends),
-        "followed_percent": 100.0 * followed / len(ends) if len(ends) else np.nan,
+        **suggestions_followed(session.t, leader, np.where(suggested > 0, suggested, -1.0)),
         "force": force_shown(session),
     }
 
