@@ -47,6 +47,7 @@ def test_tokens_are_nowhere_in_the_study(make_plan):
 @pytest.mark.parametrize(
     ("codes", "said"),
     [
+        ({"P01", "P02"}, "must be in an order"),
         (["p01", "P01"], "two codes are the same"),
         (["-rf", "b"], "begins with a letter"),
         (["x" * 300, "b"], "at most 40"),

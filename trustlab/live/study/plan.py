@@ -9,7 +9,7 @@ import re
 import secrets
 import shutil
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from contextlib import closing
 from dataclasses import asdict, replace
 from numbers import Number
@@ -397,6 +397,8 @@ def _codes(participants: int | Sequence[str]) -> list[str]:
         name = "participants, where they are no list of codes,"
         count = whole_number(name, participants, most=999)
         return [f"P{number:02d}" for number in range(1, count + 1)]
+    if isinstance(participants, Set):
+        raise ValueError(f"participants must be in an order, a list, got {shown(participants)}")
     codes = list(participants)
     for code in codes:
         if not isinstance(code, str) or not CODE.fullmatch(code):
