@@ -310,3 +310,32 @@ def test_the_error_of_a_formula_has_plain_characters():
     with pytest.raises(ValueError, match="is incorrectly used") as error:
         tl.formula_model("score ~ mode + (1|person)", drawn(12), groups="person")
     assert "\x1b" not in str(error.value)
+
+
+def test_people_who_differ_too_much_are_refused():
+    """F was 2e-11, as if people did not differ at all; that of repeated_measures was 20."""
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame({"s": np.repeat(range(12), 3), "c": list("abc") * 12})
+    people, errors = np.repeat(rng.normal(size=12), 3), rng.normal(size=36)
+    frame["y"] = 1e4 * people + errors
+    expected = tl.repeated_measures(frame, "y", "c", "s").table()["F"].iloc[0]
+    tested = tl.mixed_model(frame, "y", "c", "s")
+    assert tested.F == pytest.approx(expected, rel=1e-6)
+    with pytest.raises(ValueError, match="differ between subjects 100,000 times"):
+        tl.mixed_model(frame.assign(y=1e7 * people + errors), "y", "c", "s")
+
+
+def test_conditions_without_a_subject_in_common():
+    """Within people only a and b are compared, in two of them: one degree of freedom is left."""
+    frame = pd.DataFrame({"s": list("112234"), "c": list("ababcd"), "y": [1, 2, 1.5, 2.2, 3, 4]})
+    tests = tl.mixed_model(frame, "y", "c", "s").table()
+    assert tests[["df1", "df2"]].to_numpy().tolist() == [[3, 1]]
+
+
+def test_a_column_of_durations_is_left_alone():
+    frame = pd.DataFrame({"s": list("112233"), "c": list("ababab"), "y": [1, 2, 1.5, 2.2, 3, 4]})
+    timed = frame.assign(took=pd.to_timedelta(range(6), unit="s"))
+    again = tl.formula_model("y ~ c", timed, "s")
+    assert again.table().equals(tl.formula_model("y ~ c", frame, "s").table())
+    constant = tl.formula_model("y ~ 1", frame, "s")
+    assert not hasattr(constant, "chi2")

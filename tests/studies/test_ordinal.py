@@ -334,3 +334,12 @@ def test_names_and_levels_may_be_numbers():
     assert found.probabilities().columns[0] == 3
     with pytest.raises(ValueError, match="1 are numbers in a formula; rename the column"):
         tl.ordinal_model(frame.rename(columns={"mode": 1}), "trust", 1, "person")
+
+
+def test_a_condition_that_all_answer_alike_is_refused():
+    """The estimate was 20, its standard error 3,400, and p < .001."""
+    answers = np.random.default_rng(0).integers(0, 2, (12, 6))
+    answers[:, 3:] = 1
+    frame = pd.DataFrame({"s": np.repeat(range(12), 6), "c": list("aaabbb") * 12})
+    with pytest.raises(ValueError, match="the likelihood has no maximum"):
+        tl.ordinal_model(frame.assign(y=answers.ravel()), "y", "c", "s")

@@ -336,3 +336,8 @@ def test_whole_numbers_may_be_floats():
     same = Simulation(replicates=100.0, seed=np.array(3))
     found = [tl.power_analysis([0, 1], np.eye(2), n=5, simulation=s).table() for s in (SMALL, same)]
     pd.testing.assert_frame_equal(*found)
+
+
+def test_an_epsilon_that_leaves_no_variance_is_named():
+    with pytest.raises(ValueError, match=r"epsilon = 0\.145 is too near 0\.1429"):
+        graded_covariance(8, epsilon=0.145)

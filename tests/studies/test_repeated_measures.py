@@ -413,3 +413,31 @@ def test_a_factor_named_like_a_statistic_is_refused_with_its_name():
     result = tl.repeated_measures(drawn().rename(columns={"group": "n"}), **COLUMNS, between="n")
     with pytest.raises(ValueError, match="'n' is the name of a factor and of a statistic; rename"):
         result.descriptives()
+
+
+def test_few_degrees_of_freedom_leave_mauchlys_test_open():
+    frame = pd.DataFrame({"s": np.repeat(range(3), 3), "c": list("abc") * 3})
+    frame["y"] = np.random.default_rng(0).normal(size=9)
+    frame["age"] = np.repeat([20.0, 30.0, 41.0], 3)
+    table = tl.repeated_measures(frame, "y", "c", "s", covariates="age").table()
+    assert table["mauchly_p"].isna().all()
+
+
+def test_trials_are_averaged_as_the_error_says():
+    frame = pd.DataFrame({"s": np.repeat(range(4), 4), "c": list("aabb") * 4, "g": list("uv") * 8})
+    frame["g"] = frame["s"] % 2
+    frame["y"] = np.random.default_rng(0).normal(size=16)
+    with pytest.raises(ValueError, match="average the trials") as error:
+        tl.repeated_measures(frame, "y", "c", "s", between="g")
+    averaging, dropping = str(error.value).partition("first: ")[2].split(", then ")
+    exec(averaging, {"frame": frame})
+    once = eval(dropping, {"frame": frame})
+    means = frame.groupby(["s", "c"])["y"].mean()
+    assert once.set_index(["s", "c"])["y"].sort_index().equals(means)
+    assert tl.repeated_measures(once, "y", "c", "s", between="g").table().shape[0] == 3
+
+
+@pytest.mark.parametrize(("f", "df2"), [(1e10, 2), (1e11, 1)])
+def test_intervals_of_a_huge_effect_are_finite(f, df2):
+    low, high, *_ = tl.studies.partial_eta_interval(f, 1, df2)
+    assert 0.99 < low < high <= 1.0

@@ -255,3 +255,11 @@ def test_a_column_whose_name_begins_with_p_holds_no_p_values():
 def test_what_has_no_effect_on_a_result_is_refused(frame, more, words):
     with pytest.raises(ValueError, match=words):
         tl.report(frame(), **more)
+
+
+def test_tables_stand_side_by_side_and_what_is_no_result_is_named():
+    table = pd.DataFrame({"bf10": [2.0]})
+    shown = tl.report({"P1": table, "P2": table}).table()
+    assert shown["bf10"].tolist() == [2.0, 2.0]
+    with pytest.raises(ValueError, match="or a result, got int"):
+        tl.report({"P1": 3})

@@ -149,3 +149,11 @@ def test_one_model_has_no_pairs():
     pairs = tl.compare_trust_models(panel, ["constant"], folds=2).paired()
     assert pairs.empty
     assert {"split", "measure", "model", "ci_high", "people"} < set(pairs)
+
+
+def test_ratings_before_and_after_all_events_are_compared_between_people():
+    panel = tl.read_people("hybrid_vr")
+    ratings = panel.ratings.copy()
+    ratings[:, 1:-1] = np.nan
+    compared = tl.compare_trust_models(replace(panel, ratings=ratings), FAST[:3:2], folds=2)
+    assert set(compared.scores["split"]) == {"people"}

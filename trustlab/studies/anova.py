@@ -185,7 +185,8 @@ def sphericity(
         below = d * (n - 1 - d * gg)
         hf = np.where(below > 1e-12 * n, (n * d * gg - 2.0) / below, np.inf) if d > 1 else gg
         least = np.maximum(d * _RELATIVE_RANK * eigenvalues[..., -1], floor)
-        defined = (eigenvalues[..., 0] > least) & (1 < d <= df_error)
+        testable = 1 < d <= df_error
+        defined = (eigenvalues[..., 0] > least) & testable
         log_w = np.minimum(np.log(ratios).sum(axis=-1), np.where(defined, 0.0, np.nan))
     chi2 = -mauchly_factor(n, d + 1) * log_w
     return {
@@ -195,7 +196,7 @@ def sphericity(
         "mauchly_w": np.exp(log_w),
         "mauchly_chi2": chi2,
         "mauchly_df": d * (d + 1) // 2 - 1,
-        "mauchly_p": mauchly_p_value(chi2, n, d + 1, cells),
+        "mauchly_p": mauchly_p_value(chi2, n, d + 1, cells) if testable else chi2,
     }
 
 
@@ -358,7 +359,7 @@ def noncentrality_limit(f: float, df1: float, df2: float, probability: float) ->
 
     if excess(0.0) <= 0.0:
         return 0.0
-    high = max(1.0, 2.0 * df1 * f)
+    high = min(max(1.0, 2.0 * df1 * f), _LARGE)
     while excess(high) > 0.0:
         high *= 2.0
     return brentq(excess, 0.0, high, xtol=1e-12 * high, rtol=1e-13, maxiter=500)

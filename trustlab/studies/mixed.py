@@ -94,6 +94,11 @@ def intercept_fit(
 
     # All minima are compared: a search from one start can stop at a variance of zero.
     rising = np.array([profile(ratio).slope >= 0.0 for ratio in RATIOS])
+    if not rising.any():
+        raise ValueError(
+            "dv or formula: scores differ between subjects 100,000 times as much as within them, "
+            "too much for both to be estimated; subtract each subject's mean"
+        )
     minima = [0.0]
     for i in np.flatnonzero(~rising[:-1] & rising[1:]):
         bracket = RATIOS[i], RATIOS[i + 1]
@@ -256,7 +261,9 @@ def mixed_model(
     covariance = fit.residual * fit.inverse
     design = Design(len(scores), levels, groups)
     between_df = design.n - design.combinations
-    within_df = cells.size - scores.shape[1] - between_df
+    # Of conditions that share no subject the difference is one between subjects.
+    about = x - pd.DataFrame(x).groupby(person).transform("mean").to_numpy()
+    within_df = cells.size - len(scores) - np.linalg.matrix_rank(about)
     rows = []
     for names in subsets(factors)[1:]:
         tested = contrasts(factors, names)
@@ -423,7 +430,8 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
 
     rows, frame = frame.index, frame.reset_index(drop=True).infer_objects()
     # Products of integers overflow.
-    frame = frame.astype(dict.fromkeys(frame.select_dtypes("number"), float))
+    numbers = frame.select_dtypes("number", exclude="timedelta")
+    frame = frame.astype(dict.fromkeys(numbers, float))
     for name in frame:
         column = column_of(frame, "data", name)
         if isinstance(column.dtype, pd.CategoricalDtype):

@@ -115,7 +115,7 @@ class Cumulative:
         search = {"method": "BFGS", "jac": "3-point", "options": {"gtol": 1e-6}}
         found = minimize(lambda free: -self.log_likelihood(ordered(free), z), start, **search)
         beta, rest = np.split(ordered(found.x), [count])
-        if np.abs([*(z @ beta), *rest]).max() > FAR:
+        if max(np.ptp(z @ beta), *np.abs(rest)) > FAR:
             raise ValueError(
                 "dv: the likelihood has no maximum: some effect separates low from high ratings, "
                 "or people hardly vary; leave the effect or the people out"

@@ -103,6 +103,8 @@ def graded_covariance(
     # Powers of x span the same spaces, but are nearly dependent beyond a dozen conditions.
     basis = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, d + 1), d))[0]
     together = sd**2 * (1.0 + d * rho)
+    if variances.min() <= 1e-12 * max(together, variances.max()):
+        raise ValueError(f"epsilon = {eps:g} is too near {1.0 / d:.4g}: some contrast never varies")
     return basis @ np.diag(np.r_[together, variances]) @ basis.T
 
 

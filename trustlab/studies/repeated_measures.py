@@ -347,7 +347,8 @@ def repeated_measures(
     ValueError
         If a column is unknown, a label is missing, a score is not a finite number, a cell has
         several rows or none, there is one condition or fewer than three complete subjects, a
-        subject is in two groups, a group has one subject, or scores have no error variance.
+        subject is in two groups, a level of `between` has one subject, or scores have no error
+        variance.
 
     Notes
     -----

@@ -201,7 +201,7 @@ def _table_of(result: Any) -> pd.DataFrame:
 
 def _to_print(result: Any) -> pd.DataFrame:
     """Return what is printed of a result: its table, of an analysis of variance part of it."""
-    table = result.table()
+    table = _table_of(result)
     return table[TESTED] if isinstance(result, RepeatedMeasures) else table
 
 
@@ -214,7 +214,7 @@ def _side_by_side(
             f"frame is a dict of results, {shown([*results])}, and thresholds must have one for "
             f"each, got {shown([*thresholds])}"
         )
-    whole = pd.concat({name: result.table() for name, result in results.items()}, names=["of"])
+    whole = pd.concat({name: _table_of(result) for name, result in results.items()}, names=["of"])
     origins = {_origin(result, whole) for result in results.values()} - {""}
     said = {name: _sentences(result) for name, result in results.items()}
     text = " ".join(f"{name}: {sentences}" for name, sentences in said.items() if sentences)

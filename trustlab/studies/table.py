@@ -158,7 +158,7 @@ class Tested(Result):
         if name.startswith("_") or name == "tests" or name not in self.tests:
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
         values = self.tests[name].drop_duplicates().tolist()
-        if len(values) > 1:
+        if len(values) != 1:
             raise AttributeError(
                 f"there are {len(self.tests)} effects, each with its {name!r}: table() has a row "
                 "per effect"
@@ -271,7 +271,8 @@ def one_row_a_cell(table: pd.DataFrame, names: list[Hashable], dv: Hashable) -> 
     for row in table.index[table.duplicated(names)]:
         raise ValueError(
             f"frame has more than one row for a cell, such as row {row!r}; average the trials of a "
-            f"cell first: frame.groupby({names}, as_index=False)[{dv!r}].mean()"
+            f"cell first: frame[{dv!r}] = frame.groupby({names})[{dv!r}].transform('mean'), then "
+            f"frame.drop_duplicates({names})"
         )
 
 

@@ -176,9 +176,10 @@ def compare_trust_models(
         ("people", panel.of(np.setdiff1d(order, group)), panel.of(group), 0) for group in groups
     ]
     events = np.isfinite(panel.events.dt).sum(axis=1)
-    if events.max() > 2:
-        later = events - events // 3
-        splits.append(("last third", panel_until(panel, later), panel, later))
+    later = events - events // 3
+    earlier = panel_until(panel, later)
+    if events.max() > 2 and np.isfinite(earlier.ratings[:, 1:]).any():
+        splits.append(("last third", earlier, panel, later))
     # Where all people are fitted best is a good place to start from, and nothing more.
     starts = {name: fitted(panel, model, free=free).coordinates for name, model in chosen.items()}
     tables = []
