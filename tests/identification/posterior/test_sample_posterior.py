@@ -96,8 +96,9 @@ def test_closed_loops_and_printed_people(case):
     People of the prior under thresholds that know them, or a rule that knows what the log does; and
     a hundred logs of each printed kind.
     """
-    least = 0.92 if case[0].startswith("Table") else 0.91
-    assert least <= covered(stored(*case)) <= 0.98
+    # Printed people lie near the middle of the prior, and a hundred logs tell a share to ± 0.014.
+    least, most = (0.92, 0.985) if case[0].startswith("Table") else (0.91, 0.98)
+    assert least <= covered(stored(*case)) <= most
 
 
 def test_the_page_has_the_stored_coverage():
