@@ -31,7 +31,7 @@ import pandas as pd
 
 import trustlab as tl
 from tests.good_calls import CALLS, CHEAPER, NOT_WALKED
-from tests.known_faults import ALLOWED
+from tests.known_faults import ALLOWED, KNOWN
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = str(Path(tl.__file__).parent)
@@ -456,8 +456,15 @@ KINDS = {
 
 
 def kinds(lines):
-    """Return the few words with which `tests/known_faults.py` lists the faults of an argument."""
-    found = [words for pattern, words in KINDS.items() if re.search(pattern, "\n".join(lines))]
-    if "anything is taken" in found:
-        found.remove("NaN is taken")
-    return ", ".join(found)
+    """Return the kinds of the faults of an argument, in words of `tests/known_faults.py`."""
+    found = {words for pattern, words in KINDS.items() if re.search(pattern, "\n".join(lines))}
+    return found - {"NaN is taken"} if "anything is taken" in found else found
+
+
+def known(name):
+    """Return the kinds of faults that are known of a name, by argument."""
+    listed = {}
+    for kind, places in KNOWN.items():
+        for argument in places.get(name, "").split():
+            listed.setdefault(argument, set()).add(kind)
+    return listed

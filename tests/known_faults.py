@@ -61,187 +61,86 @@ that differ each time.
 """
 
 KNOWN = {
-    "LiveCondition": {
-        "suggestions": "no argument named",
+    "foreign errors": {
+        "LiveStudy": "folder conditions participants",
+        "PublishedStudy": "conditions significant_without_p",
+        "PublishedStudy.pair": "name",
+        "TeamLoop.step": "leader",
+        "TrackingTask.path": "t height phase",
+        "compare": "values printed stderr",
+        "compare_trust_models": "models",
+        "TrustComparison.paired": "against",
+        "latin_square_design": "participants",
+        "PowerAnalysis.plot": "test",
+        "read_live_study": "folder",
+        "RecordedStudy.export": "path",
+        "read_people": "name",
+        "Panel.event": "k",
+        "Panel.of": "rows",
+        "StudyReport.write": "path",
+        "simulated_answers": "points",
+        "simulated_effects": "n",
+        "teleoperation_measures": "sessions",
+        "virtual_study": "n",
+        "VirtualStudy.plot": "measures",
+        "reproduction.read_calibration": "folder",
+        "ros.AllocationCore": "thresholds",
+        "ros.CoreSettings": "watchdogs",
+        "ros.RunSettings": "topics",
+        "studies.apa_p": "p",
+        "studies.clopper_pearson": "total",
+        "studies.graded_covariance": "sd",
+        "studies.holm": "p",
+        "studies.partial_eta_interval": "df2",
+        "studies.satisfaction_scale": "points items reversed",
+        "teleoperation.packet_delay": "received",
+        "teleoperation.team_graph": "require_connected",
+        "testbeds.following_operator": "participant",
+        "testbeds.plot_energies": "session",
+        "trust.predict": "model panel free",
+        "trust.simulate_ratings": "model panel rng",
     },
-    "LiveStudy": {
-        "folder": "foreign errors",
-        "conditions": "foreign errors",
-        "participants": "foreign errors",
+    "anything is taken": {
+        "PublishedStudy": "title where",
+        "Scheme": "title",
+        "TrackingTask.path": "height",
+        "ros.RunSettings": "condition",
+        "teleoperation.TeamTrial": "start",
+        "teleoperation.team_graph": "require_connected",
+        "trust.parameter": "default low high",
+        "trust.predict": "free known",
     },
-    "PublishedStudy": {
-        "conditions": "foreign errors",
-        "significant_without_p": "foreign errors",
-        "title": "anything is taken",
-        "where": "anything is taken",
+    "NaN is taken": {
+        "TrackingTask.path": "t phase",
+        "cronbach_alpha": "items",
+        "fit_robot": "p_h_max",
+        "limit_cycle": "lower upper",
+        "ros.RunSettings": "rule correction",
+        "studies.StudyColumns": "dv within subject between order",
+        "studies.apa_p": "p",
+        "studies.holm": "p",
+        "teleoperation.GivenSequence": "robots",
+        "teleoperation.TeamChannel": "delay",
     },
-    "PublishedStudy.pair": {
-        "name": "foreign errors",
+    "no argument named": {
+        "LiveCondition": "suggestions",
+        "TeamLoop.step": "samples",
+        "compare": "values printed",
+        "read_people": "name",
+        "StudyReport.write": "path",
+        "VirtualStudy.plot": "measures",
+        "reproduction.read_calibration": "study folder",
+        "ros.AllocationCore": "thresholds",
     },
-    "Scheme": {
-        "title": "anything is taken",
-    },
-    "TeamLoop.step": {
-        "leader": "foreign errors",
-        "samples": "no argument named",
-    },
-    "TrackingTask.path": {
-        "t": "foreign errors, NaN is taken",
-        "height": "foreign errors, anything is taken",
-        "phase": "foreign errors, NaN is taken",
-    },
-    "ArxResult.table": {
-        "level": "no difference",
-    },
-    "channel_run": {
-        "beta": "no difference",
-        "read_out": "no difference",
-    },
-    "compare": {
-        "values": "foreign errors, no argument named",
-        "printed": "foreign errors, no argument named",
-        "stderr": "foreign errors, no difference",
-    },
-    "compare_trust_models": {
-        "models": "foreign errors",
-    },
-    "TrustComparison.paired": {
-        "against": "foreign errors",
-    },
-    "cronbach_alpha": {
-        "items": "NaN is taken",
-    },
-    "fit_robot": {
-        "p_h_max": "NaN is taken",
-    },
-    "latin_square_design": {
-        "participants": "foreign errors",
-    },
-    "limit_cycle": {
-        "lower": "NaN is taken",
-        "upper": "NaN is taken",
-    },
-    "optimal_allocation": {
-        "sample_time": "no difference",
-    },
-    "PowerAnalysis.plot": {
-        "test": "foreign errors",
-    },
-    "read_live_study": {
-        "folder": "foreign errors",
-    },
-    "RecordedStudy.export": {
-        "path": "foreign errors",
-    },
-    "read_people": {
-        "name": "foreign errors, no argument named",
-    },
-    "Panel.event": {
-        "k": "foreign errors",
-    },
-    "Panel.of": {
-        "rows": "foreign errors",
-    },
-    "reconstruct": {
-        "p_adjust": "no difference",
-    },
-    "StudyReport.write": {
-        "path": "foreign errors, no argument named",
-    },
-    "simulated_answers": {
-        "points": "foreign errors",
-    },
-    "simulated_effects": {
-        "n": "foreign errors, no difference",
-    },
-    "teleoperation_measures": {
-        "sessions": "foreign errors",
-    },
-    "virtual_study": {
-        "n": "foreign errors",
-    },
-    "VirtualStudy.plot": {
-        "measures": "foreign errors, no argument named",
-    },
-    "reproduction.read_calibration": {
-        "study": "no argument named",
-        "folder": "foreign errors, no argument named",
-    },
-    "ros.AllocationCore": {
-        "thresholds": "foreign errors, no argument named",
-    },
-    "ros.CoreSettings": {
-        "watchdogs": "foreign errors",
-    },
-    "ros.RunSettings": {
-        "condition": "anything is taken",
-        "rule": "NaN is taken",
-        "correction": "NaN is taken",
-        "topics": "foreign errors",
-    },
-    "studies.StudyColumns": {
-        "dv": "NaN is taken",
-        "within": "NaN is taken",
-        "subject": "NaN is taken",
-        "between": "NaN is taken",
-        "order": "NaN is taken",
-    },
-    "studies.apa_p": {
-        "p": "foreign errors, NaN is taken",
-    },
-    "studies.clopper_pearson": {
-        "total": "foreign errors",
-    },
-    "studies.graded_covariance": {
-        "sd": "foreign errors",
-    },
-    "studies.holm": {
-        "p": "foreign errors, NaN is taken",
-    },
-    "studies.partial_eta_interval": {
-        "df2": "foreign errors",
-    },
-    "studies.satisfaction_scale": {
-        "points": "foreign errors",
-        "items": "foreign errors",
-        "reversed": "foreign errors",
-    },
-    "teleoperation.GivenSequence": {
-        "robots": "NaN is taken",
-    },
-    "teleoperation.TeamChannel": {
-        "delay": "NaN is taken",
-    },
-    "teleoperation.TeamTrial": {
-        "start": "anything is taken",
-    },
-    "teleoperation.packet_delay": {
-        "received": "foreign errors",
-    },
-    "teleoperation.team_graph": {
-        "require_connected": "foreign errors, anything is taken, no difference",
-    },
-    "testbeds.following_operator": {
-        "participant": "foreign errors",
-    },
-    "testbeds.plot_energies": {
-        "session": "foreign errors",
-    },
-    "trust.parameter": {
-        "default": "anything is taken",
-        "low": "anything is taken",
-        "high": "anything is taken",
-    },
-    "trust.predict": {
-        "model": "foreign errors",
-        "panel": "foreign errors",
-        "free": "foreign errors, anything is taken",
-        "known": "anything is taken, no difference",
-    },
-    "trust.simulate_ratings": {
-        "model": "foreign errors",
-        "panel": "foreign errors",
-        "rng": "foreign errors",
+    "no difference": {
+        "ArxResult.table": "level",
+        "channel_run": "beta read_out",
+        "compare": "stderr",
+        "optimal_allocation": "sample_time",
+        "reconstruct": "p_adjust",
+        "simulated_effects": "n",
+        "teleoperation.team_graph": "require_connected",
+        "trust.predict": "known",
     },
 }
-"""Faults of the other rooms, by name and argument."""
+"""Faults of the rooms: of each kind, the names and their arguments, with blanks between."""
