@@ -41,14 +41,13 @@ from trustlab.reproduction.published import VERDICTS
 
 
 NOTEBOOKS = ROOT / "notebooks"
+REPORTS = {path.stem.partition("_")[2]: path for path in NOTEBOOKS.glob("*.ipynb")}
 CHECK = "tl.publishing.only_parameters(globals())"
 CLAIMS = tl.reproduction.verdicts()
 
 
 def heads_of(report):
-    named = (p for p in NOTEBOOKS.glob("*.ipynb") if p.stem.partition("_")[2] == report)
-    path = next(named)
-    cells = nbformat.read(path, as_version=4).cells
+    cells = nbformat.read(REPORTS[report], 4).cells
     texts = [cell.source for cell in cells if cell.cell_type == "markdown"]
     return [line.lstrip("# ") for text in texts for line in text.splitlines()]
 
@@ -79,8 +78,7 @@ def test_a_verdict_has_its_reason_and_a_section_that_is_there(claim):
 def test_every_report_with_a_claim_reads_its_verdicts():
     shown = CLAIMS[CLAIMS["verdict"] != "diagram"]["report"]
     for report in {*shown} - {""}:
-        (path,) = [p for p in NOTEBOOKS.glob("*.ipynb") if p.stem.partition("_")[2] == report]
-        assert f'verdicts(\\"{report}\\")' in path.read_text(encoding="utf-8"), report
+        assert f'verdicts(\\"{report}\\")' in REPORTS[report].read_text(encoding="utf-8"), report
 
 
 def test_verdicts_are_those_of_the_audit_and_of_the_reconstructions():
