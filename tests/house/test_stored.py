@@ -104,6 +104,10 @@ def test_trust_value():
         assert again["time"] == pytest.approx(row["time"], rel=1e-9)
 
 
+def assert_same(again, row):
+    assert again == pytest.approx(row[list(again)].to_dict(), rel=1e-9)
+
+
 def test_teleoperators():
     """One operator of each table flies again."""
     streams = np.random.SeedSequence(make.SEED).spawn(200)
@@ -113,17 +117,15 @@ def test_teleoperators():
         return people.draw(number, make.SEED, drawn).to_dict("records")[-1]
 
     row = stored("compensation").query("operator == 'adapting' and failure_every == 15").iloc[4]
-    again = make.tracking_errors("main", ["M", "TMIG"], person(5, {"adapting": 1.0}), streams[4])
-    assert again == pytest.approx(row[["M", "TMIG"]].to_dict(), rel=1e-9)
+    who = person(5, {"adapting": 1.0})
+    assert_same(make.tracking_errors("main", ["M", "TMIG"], who, streams[4]), row)
     row = stored("orders").query("study == 'main' and law == 'crossover'").iloc[130]
     who = person(row["participant"], {name: row[name] for name in make.TELEOPERATOR_PRIORS})
     task = replace(make.TASKS["main"], view=row["view"])
     stream = streams[row["participant"] - 1]
-    again = make.tracking_errors("main", ["MI", "TMIG"], who, stream, task)
-    assert again == pytest.approx(row[["MI", "TMIG"]].to_dict(), rel=1e-9)
+    assert_same(make.tracking_errors("main", ["MI", "TMIG"], who, stream, task), row)
     row = stored("felt").query("law == 'proportional' and scheme == 'M'").iloc[2]
-    again = make.flown_guided("M", person(3), row["k_ffa"], streams[2])
-    assert again == pytest.approx(row[list(again)].to_dict(), rel=1e-9)
+    assert_same(make.flown_guided("M", person(3), row["k_ffa"], streams[2]), row)
 
 
 def test_what_the_stored_flights_say():
