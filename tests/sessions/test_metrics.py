@@ -126,7 +126,7 @@ def test_commands_that_rest_while_the_robot_drives_are_told(recwarn, v, w, mode,
 
 def trial(number, block, level, error, training=False, participant=1):
     more = {"trial": number, "block": block, "autonomy": level, "training": training}
-    data = pd.DataFrame({"path_error": error}, index=pd.Index(np.arange(4) * 0.1, name="t"))
+    data = pd.DataFrame({"path_error": error}, index=0.1 * np.arange(4))
     return tl.Session(data, tl.Metadata(participant=participant, more=more))
 
 
