@@ -31,7 +31,7 @@ import pandas as pd
 
 import trustlab as tl
 from tests.good_calls import CALLS, CHEAPER, NOT_WALKED
-from tests.known_faults import ALLOWED
+from tests.known_faults import ALLOWED, KNOWN
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = str(Path(tl.__file__).parent)
@@ -196,11 +196,17 @@ def required(function):
     ]
 
 
+def listed(table, key):
+    """Return the arguments that a table has for a name."""
+    arguments = table.get(key, {})
+    return arguments() if callable(arguments) else arguments
+
+
 def good_call(key, owner, name, documented, folder, **instance):
     """Return the good call of a public name, or of a method; None where there is none."""
     function = getattr(owner, name)
     if key in CALLS:
-        arguments = by_name(function, (), instance | CALLS[key]())
+        arguments = by_name(function, (), instance | listed(CALLS, key))
     else:
         arguments = recorded(owner, name, documented)
         if arguments is None and not required(function):
@@ -208,7 +214,7 @@ def good_call(key, owner, name, documented, folder, **instance):
     folder.keep()
     if arguments is None:
         return None
-    return Call(key, function, arguments | CHEAPER.get(key, dict)(), folder)
+    return Call(key, function, arguments | listed(CHEAPER, key), folder)
 
 
 def methods(call, documented, folder):
@@ -411,7 +417,7 @@ def faults(call):
     function = not inspect.isclass(call.function)
     repeats = not function or content(call, outcome(call)[0])[0] == plain
     judged = function and repeats and plain not in ("[]", "[None]")
-    repeats = repeats or "" in ALLOWED.get(call.name, ())
+    repeats = repeats or call.name in ALLOWED
     found = {} if repeats else {"": ["the same call gives another answer"]}
     for argument in [*call.arguments, WORD]:
         if argument == "self":
@@ -438,7 +444,7 @@ def faults(call):
         if judged and effects and not any(effects) and argument not in EXECUTION:
             lines.append(f"{argument} makes no difference")
         plt.close("all")
-        if argument in ALLOWED.get(call.name, ()):
+        if f"{call.name} {argument}" in ALLOWED:
             lines = [line for line in lines if " raises " in line]
         if lines:
             found[argument] = lines
@@ -456,8 +462,16 @@ KINDS = {
 
 
 def kinds(lines):
-    """Return the few words with which `tests/known_faults.py` lists the faults of an argument."""
-    found = [words for pattern, words in KINDS.items() if re.search(pattern, "\n".join(lines))]
-    if "anything is taken" in found:
-        found.remove("NaN is taken")
-    return ", ".join(found)
+    """Return the kinds of the faults of an argument, in words of `tests/known_faults.py`."""
+    found = {words for pattern, words in KINDS.items() if re.search(pattern, "\n".join(lines))}
+    return found - {"NaN is taken"} if "anything is taken" in found else found
+
+
+def known(name):
+    """Return the kinds of faults that are known of a name, by argument."""
+    listed = {}
+    for kind, places in KNOWN.items():
+        for place, argument in map(str.split, places):
+            if place == name:
+                listed.setdefault(argument, set()).add(kind)
+    return listed

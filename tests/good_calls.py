@@ -1,6 +1,7 @@
 """
 Calls that work, for the walk of `tests/contract.py`: where a name's docstring has no example, where
-its example takes too long, and for methods. A table of names and arguments, nothing else.
+its example takes too long, and for methods. Tables of names and arguments, nothing else; a function
+makes those that take time.
 """
 
 import numpy as np
@@ -10,7 +11,7 @@ from tests import cases
 from tests.cases import THRESHOLDS
 
 CHEAPER = {
-    "choose_thresholds": lambda: {"points": 4},
+    "choose_thresholds": {"points": 4},
     "compare_trust_models": lambda: {
         "panel": cases.panel(),
         "models": ["running_mean", "habit"],
@@ -25,50 +26,50 @@ CHEAPER = {
     "fit_trust": lambda: {"panel": cases.panel(), "model": "performance"},
     "fit_tsc": lambda: {"sessions": cases.log()},
     "formula_model": lambda: {"data": cases.scores()},
-    "invariant_bounds": lambda: {"cells": 64, "cycles": 20},
+    "invariant_bounds": {"cells": 64, "cycles": 20},
     "optimal_allocation": lambda: {  # of somebody quick, so that cycles are short
         "tsc": tl.TscModel(tl.RobotModel(0.95, 0.2, 0.4, 0.5), tl.HumanModel(0.98, 0.7, 0.4, 0.5))
     },
     "reconstruct": lambda: {"study": cases.study()},
-    "run_campaign": lambda: {"parameters": tl.parameter_grid(n=[10, 100])},
-    "run_condition": lambda: {"laps": 1},
+    "run_campaign": {"parameters": [{"n": 10}, {"n": 100}]},
+    "run_condition": {"laps": 1},
     "sample_posterior": lambda: {"sessions": cases.log(), "n": 100},
-    "simulate_allocation": lambda: {"steps": 50},
-    "simulate_team": lambda: {"duration": 2.0},
+    "simulate_allocation": {"steps": 50},
+    "simulate_team": {"duration": 2.0},
     "smallest_n": lambda: {"simulation": tl.studies.Simulation(replicates=100)},
-    "sobol_indices": lambda: {"n": 8, "resamples": 20},
-    "virtual_study": lambda: {"n_jobs": 1, "conditions": ["C1", "C3"], "n": 4},
+    "sobol_indices": {"n": 8, "resamples": 20},
+    "virtual_study": {"n_jobs": 1, "conditions": ["C1", "C3"], "n": 4},
 }
 """Arguments in place of those of an example."""
 
 CALLS = {
     # Names of rooms.
     "allocation.step_bounds": lambda: {"tsc": cases.model()},
-    "models.StepScaling": lambda: {"low": 0.2, "high": 0.8},
+    "models.StepScaling": {"low": 0.2, "high": 0.8},
     "operators.operator": lambda: {"participant": 1, "model": cases.model()},
-    "reproduction.read_calibration": lambda: {"study": "uav", "folder": "data/calibration"},
-    "studies.apa_p": lambda: {"p": 0.01},
-    "studies.holm": lambda: {"p": np.array([0.01, 0.2, 0.03])},
-    "studies.clopper_pearson": lambda: {"count": 3, "total": 10},
-    "studies.graded_covariance": lambda: {"k": 3},
-    "studies.partial_eta_interval": lambda: {"f": 4.0, "df1": 2.0, "df2": 22.0},
-    "studies.participants_needed": lambda: {"conditions": 4},
-    "teleoperation.corrected_filter": lambda: {"cutoff": 5.0, "impedance": 1.0},
-    "teleoperation.packet_delay": lambda: {
+    "reproduction.read_calibration": {"study": "uav", "folder": "data/calibration"},
+    "studies.apa_p": {"p": 0.01},
+    "studies.holm": {"p": np.array([0.01, 0.2, 0.03])},
+    "studies.clopper_pearson": {"count": 3, "total": 10},
+    "studies.graded_covariance": {"k": 3},
+    "studies.partial_eta_interval": {"f": 4.0, "df1": 2.0, "df2": 22.0},
+    "studies.participants_needed": {"conditions": 4},
+    "teleoperation.corrected_filter": {"cutoff": 5.0, "impedance": 1.0},
+    "teleoperation.packet_delay": {
         "sent": np.array([0.0, 0.1, 0.2]),
         "received": np.array([0.1, 0.2, 0.35]),
     },
-    "teleoperation.printed_filter": lambda: {"cutoff": 5.0},
-    "teleoperation.random_walk_delay": lambda: {"low": 0.1, "high": 0.3, "max_rate": 0.5},
+    "teleoperation.printed_filter": {"cutoff": 5.0},
+    "teleoperation.random_walk_delay": {"low": 0.1, "high": 0.3, "max_rate": 0.5},
     "teleoperation.sinusoid_energy": lambda: {
         "two_port": tl.teleoperation.printed_filter(5.0),
         "duration": 1.0,
     },
     "teleoperation.team_graph": lambda: {"graph": cases.graph()},
-    "testbeds.following_operator": lambda: {"participant": 2},
+    "testbeds.following_operator": {"participant": 2},
     "testbeds.identification_session": lambda: {"operator": cases.driver()},
     "testbeds.plot_energies": lambda: {"session": cases.flight()},
-    "testbeds.published_operator": lambda: {"participant": 2},
+    "testbeds.published_operator": {"participant": 2},
     "trust.predict": lambda: {
         "model": tl.trust.MODELS["asymmetric"](),
         "panel": cases.panel(),
@@ -79,43 +80,43 @@ CALLS = {
         "rng": np.random.default_rng(0),
     },
     # Methods, of the answer of the first name that has it.
-    "EnergyLedger.receive": lambda: {"number": 0, "wave": np.array([2.0])},
-    "FitResult.residual_correlations": lambda: {"lags": 5},
-    "HapticDevice.dissipation": lambda: {"x": np.zeros(3), "v": np.ones(3)},
-    "HapticDevice.output": lambda: {"x": np.zeros(3), "v": np.ones(3)},
-    "HapticDevice.storage": lambda: {"x": np.ones(3), "v": np.ones(3)},
-    "HapticDevice.step": lambda: {
+    "EnergyLedger.receive": {"number": 0, "wave": np.array([2.0])},
+    "FitResult.residual_correlations": {"lags": 5},
+    "HapticDevice.dissipation": {"x": np.zeros(3), "v": np.ones(3)},
+    "HapticDevice.output": {"x": np.zeros(3), "v": np.ones(3)},
+    "HapticDevice.storage": {"x": np.ones(3), "v": np.ones(3)},
+    "HapticDevice.step": {
         "x": np.zeros(3),
         "v": np.ones(3),
         "f_h": np.ones(3),
         "f_m": np.zeros(3),
         "sample_time": 0.001,
     },
-    "HumanModel.performance": lambda: {"r": 0.5},
-    "HumanModel.simulate": lambda: {"mode": np.array([1.0, 0.0, 1.0])},
-    "Panel.event": lambda: {"k": 0},
-    "Panel.of": lambda: {"rows": [0, 1]},
-    "Posterior.table": dict,
-    "PublishedStudy.pair": lambda: {"name": "A-B"},
-    "RepeatedMeasures.pairs": dict,
-    "RobotModel.simulate": lambda: {
+    "HumanModel.performance": {"r": 0.5},
+    "HumanModel.simulate": {"mode": np.array([1.0, 0.0, 1.0])},
+    "Panel.event": {"k": 0},
+    "Panel.of": {"rows": [0, 1]},
+    "Posterior.table": {},
+    "PublishedStudy.pair": {"name": "A-B"},
+    "RepeatedMeasures.pairs": {},
+    "RobotModel.simulate": {
         "mode": np.array([1.0, 0.0, 1.0]),
         "p_h": np.array([0.4, 0.4, 0.4]),
     },
-    "RobotModel.steady_state": lambda: {"mode": 1.0, "p_h": 0.4},
-    "Session.between": lambda: {"start": 0.0, "stop": 0.1},
-    "StudyReport.write": lambda: {"path": "report.html"},
-    "TeleoperationLoop.run": lambda: {"until": 0.5},
-    "ThresholdLimits.contains": lambda: dict(THRESHOLDS),
-    "TrackingTask.path": lambda: {"t": np.array([0.0, 1.0]), "height": 0.0, "phase": 0.0},
-    "TransferFunction.discrete": lambda: {"sample_time": 0.1},
-    "TrustModel.decay": lambda: {"sample_time": 0.1},
-    "TrustModel.simulate": lambda: {"performance": np.array([0.5, 1.0]), "sample_time": 0.1},
-    "TrustModel.steady_state": lambda: {"performance": 0.5},
-    "TscModel.delta": lambda: {"delta_p_r": 0.01, "delta_p_h": 0.0},
-    "TscModel.simulate": lambda: {"mode": np.array([1.0, 0.0, 1.0])},
-    "TscModel.value": lambda: {"p_r": 0.3, "p_h": 0.4},
-    "VirtualStudy.analysis": lambda: {"dv": "p_r"},
+    "RobotModel.steady_state": {"mode": 1.0, "p_h": 0.4},
+    "Session.between": {"start": 0.0, "stop": 0.1},
+    "StudyReport.write": {"path": "report.html"},
+    "TeleoperationLoop.run": {"until": 0.5},
+    "ThresholdLimits.contains": THRESHOLDS,
+    "TrackingTask.path": {"t": np.array([0.0, 1.0]), "height": 0.0, "phase": 0.0},
+    "TransferFunction.discrete": {"sample_time": 0.1},
+    "TrustModel.decay": {"sample_time": 0.1},
+    "TrustModel.simulate": {"performance": np.array([0.5, 1.0]), "sample_time": 0.1},
+    "TrustModel.steady_state": {"performance": 0.5},
+    "TscModel.delta": {"delta_p_r": 0.01, "delta_p_h": 0.0},
+    "TscModel.simulate": {"mode": np.array([1.0, 0.0, 1.0])},
+    "TscModel.value": {"p_r": 0.3, "p_h": 0.4},
+    "VirtualStudy.analysis": {"dv": "p_r"},
 }
 """Arguments of a good call, where no example makes it."""
 

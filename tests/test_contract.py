@@ -6,7 +6,6 @@ import matplotlib.pyplot as plt
 import pytest
 
 from tests import contract
-from tests.known_faults import KNOWN
 
 WALKED = set()  # methods of results that several functions return
 
@@ -41,7 +40,7 @@ def test_every_argument(key, folder):
         if call is None:
             lines.append(f"{name} has no good call: give an example, or one in tests/good_calls.py")
             continue
-        faults, known = contract.faults(call), KNOWN.get(name, {})
+        faults, known = contract.faults(call), contract.known(name)
         for argument in faults:
             if contract.kinds(faults[argument]) != known.get(argument):
                 lines += [f"{name}: {line}" for line in faults[argument]]

@@ -110,8 +110,7 @@ def test_within_a_task_all_cores_means_its_own_process():
 
     def outer(i, seed):
         table = tl.run_campaign(inner, tl.parameter_grid(i=range(4)), n_jobs=-1)
-        here = {"process": os.getpid(), "thread": threading.get_ident()}
-        return {"here": bool((table[["process", "thread"]] == here).all(axis=None))}
+        return {"here": bool((table[["process", "thread"]] == inner(i, seed)).all(axis=None))}
 
     for n_jobs in (1, 2):
         table = tl.run_campaign(outer, tl.parameter_grid(i=range(4)), n_jobs=n_jobs)

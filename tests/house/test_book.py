@@ -2,12 +2,11 @@
 Notebooks are committed without outputs; links of the book lead somewhere, and pages show well.
 """
 
-import json
 import re
 import shutil
-from pathlib import Path
 from urllib.parse import quote
 
+import nbformat
 import pytest
 
 import trustlab as tl
@@ -17,7 +16,6 @@ from tests.publishing.world import (
     pages,
     publish,
     serious,
-    sizes,
     walked,
     write_book,
 )
@@ -30,7 +28,7 @@ from trustlab.publishing.chapter import empty_chapter
 MOST_LINES = 60
 # Of a notebook, blank ones not counted.
 MOST_CODE = 250
-NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 QUOTED = re.compile(r"“[^”]*”|```.*?```|`[^`]*`", re.S)
 DECIMAL = re.compile(r"(?<![\w.()\-])\d+\.\d+(?![\w.)])")
 EQUATION = re.compile(
@@ -48,39 +46,32 @@ def decimals(text):
     return DECIMAL.findall(EQUATION.sub("", QUOTED.sub("", text)))
 
 
-def load(path):
-    return json.loads(path.read_text())["cells"]
+@pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
+def cells(request):
+    return nbformat.read(request.param, 4).cells
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
-def test_no_outputs(path):
-    for cell in load(path):
-        if cell["cell_type"] == "code":
-            assert cell["outputs"] == []
-            assert cell["execution_count"] is None
+def sources(cells, kind):
+    return [cell.source for cell in cells if cell.cell_type == kind]
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
-def test_no_decimal_literals_in_prose(path):
-    found = {}
-    for i, cell in enumerate(load(path)):
-        if cell["cell_type"] == "markdown" and (numbers := decimals("".join(cell["source"]))):
-            found[i] = numbers
-    assert found == {}
+def test_no_outputs(cells):
+    code = [cell for cell in cells if cell.cell_type == "code"]
+    assert [cell for cell in code if cell.outputs or cell.execution_count is not None] == []
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
-def test_code_cells_are_short(path):
-    cells = ["".join(cell["source"]) for cell in load(path) if cell["cell_type"] == "code"]
-    assert [source for source in cells if len(source.splitlines()) > MOST_LINES] == []
-    lines = [line for source in cells for line in source.splitlines() if line.strip()]
-    assert len(lines) <= MOST_CODE
+def test_no_decimal_literals_in_prose(cells):
+    assert [found for text in sources(cells, "markdown") for found in decimals(text)] == []
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
-def test_begins_with_a_title_and_a_sentence(path):
-    first = "".join(load(path)[0]["source"])
-    assert re.match(r"# .+\n\n\w.+", first)
+def test_code_cells_are_short(cells):
+    code = [source.splitlines() for source in sources(cells, "code")]
+    assert [lines for lines in code if len(lines) > MOST_LINES] == []
+    assert sum(bool(line.strip()) for lines in code for line in lines) <= MOST_CODE
+
+
+def test_begins_with_a_title_and_a_sentence(cells):
+    assert re.match(r"# .+\n\n\w.+", cells[0].source)
 
 
 # --- the book -------------------------------------------------------------------------------------
@@ -115,7 +106,7 @@ def build(folder, *options):
         (root / name).symlink_to(ROOT / name)
     shutil.copytree(ROOT / "reports" / "figures", root / "reports" / "figures")
     shutil.copy(ROOT / "environment.lock", root)
-    for path in (ROOT / "notebooks").glob("*.ipynb"):
+    for path in NOTEBOOKS:
         (root / "docs" / path.name).write_text(empty_chapter(path, "Not run yet."))
     if options:
         (root / "docs" / "conf.py").open("a").write("\n".join(options))
@@ -151,7 +142,7 @@ def site(tmp_path_factory):
 @pytest.mark.long
 def test_whole_book(site):
     assert faults(site) == []
-    assert {name: size for name, size in sizes(site) if size > MOST_BYTES} == {}
+    assert [path.name for path in pages(site) if path.stat().st_size > MOST_BYTES] == []
     names = {name for name in tl.__all__ if not isinstance(getattr(tl, name), type(tl))}
     assert {name for name in names if not (site / "api" / f"{name}.html").is_file()} == set()
 

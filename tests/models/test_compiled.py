@@ -7,11 +7,12 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from trustlab.models.digest import ROOMS, digest
+from trustlab.models.digest import digest
 
 ROOT = Path(__file__).parents[2]
 RUN = """
@@ -122,17 +123,9 @@ def test_caches_of_older_sources_go_after_a_day_and_not_before(first):
 
 def test_parallel_first_starts_agree(first, tmp_path):
     copy = package_in(tmp_path)
-    command, env = [sys.executable, "-c", RUN], os.environ | {"PYTHONPATH": str(copy)}
-    starts = [
-        subprocess.Popen(command, env=env, cwd=copy, stdout=subprocess.PIPE, text=True)
-        for _ in range(2)
-    ]
-    assert [start.communicate()[0].split()[0] for start in starts] == [first[1][0]] * 2
-
-
-def test_every_room_is_listed():
-    folders = {path.parent.name for path in (ROOT / "trustlab").glob("*/__init__.py")}
-    assert folders == set(ROOMS)
+    with ThreadPoolExecutor() as pool:
+        starts = [*pool.map(run, [copy, copy])]
+    assert [printed[0] for printed, _ in starts] == [first[1][0]] * 2
 
 
 def test_parts_of_a_digest_do_not_run_together():

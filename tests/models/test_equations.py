@@ -244,13 +244,16 @@ def test_with_b_above_a_trust_leaves_its_bounds():
     assert trust.simulate(np.ones(500), 0.1).max() > 1.0
 
 
-def test_logistic_scaling_is_the_printed_function_and_nearly_meets_its_bounds():
+def test_logistic_scaling_is_the_printed_function_and_nearly_meets_its_bounds_or_is_refused():
     scaling = LogisticScaling(low=0.05, high=1.0, steepness=12.0, t_min=0.2, t_max=0.8)
     trust = np.linspace(-0.5, 1.5, 41)
     printed = 1.0 - 0.95 / (1.0 + np.exp(-12.0 * (trust - 0.5) / 0.6))
     np.testing.assert_allclose(scaling.value(trust), printed, atol=1e-14)
     assert 1.0 - scaling.value(0.2) <= 0.95 / (1.0 + np.exp(6.0)) + 1e-15
     assert scaling.value([-1e9, 1e9]).tolist() == pytest.approx([1.0, 0.05])
+    assert replace(scaling, steepness=10).steepness == 10.0
+    with pytest.raises(ValueError, match="steepness must be at least 10"):
+        replace(scaling, steepness=9.999)
 
 
 @given(unit, unit, st.floats(10.0, 1e4), st.lists(st.floats(-2.0, 3.0), min_size=2, max_size=20))
@@ -285,12 +288,6 @@ def test_scalings_say_what_would_break_teleoperation(scaling):
             scaling(0.1, 1.0, midpoint=midpoint)
 
 
-def test_a_logistic_scaling_nearly_meets_its_bounds_or_is_refused():
-    assert LogisticScaling(0.05, 1.0, 10).steepness == 10.0
-    with pytest.raises(ValueError, match="steepness must be at least 10"):
-        LogisticScaling(0.05, 1.0, 9.999)
-
-
 # --- the UAV of Appendix A ------------------------------------------------------------------------
 
 
@@ -311,13 +308,15 @@ def test_the_numbers_are_those_printed():
 
 
 @pytest.mark.parametrize("axis", "xyz")
-def test_discrete_form_is_that_of_python_control(axis):
+def test_poles_and_discrete_form_are_those_of_python_control(axis):
     """Velocity at samples, under a command that changes at each, is the transfer function's."""
     model = PRINTED_UAV[axis]
     phi, gamma = model.discrete(0.01)
-    plant = control.c2d(control.tf([model.gain], [1.0, *model.denominator]), 0.01, method="zoh")
+    plant = control.tf([model.gain], [1.0, *model.denominator])
+    np.testing.assert_allclose(np.sort(model.poles()), np.sort(plant.poles()), atol=1e-12)
     command = np.random.default_rng(0).standard_normal(400)
-    expected = control.forced_response(plant, U=command).outputs
+    sampled = control.c2d(plant, 0.01, method="zoh")
+    expected = control.forced_response(sampled, U=command).outputs
     state = np.zeros(model.order)
     velocity = []
     for u in command:
@@ -332,13 +331,6 @@ def test_a_vehicle_has_three_axes():
     for wrong in (axes[:2], [1.0, *axes[:2]]):
         with pytest.raises(ValueError, match="three transfer functions, for x, y and z, got list"):
             three_axes(wrong)
-
-
-@pytest.mark.parametrize("axis", "xyz")
-def test_poles(axis):
-    model = PRINTED_UAV[axis]
-    plant = control.tf([model.gain], [1.0, *model.denominator])
-    np.testing.assert_allclose(np.sort(model.poles()), np.sort(plant.poles()), atol=1e-12)
 
 
 def test_the_printed_controller_does_not_stabilise_the_printed_model():

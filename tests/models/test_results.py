@@ -78,20 +78,25 @@ def test_arrays_are_floats_in_one_piece():
     assert array.dtype == float
     assert array.flags.c_contiguous
     assert finite_array("x", [Fraction(1, 2), 2]).tolist() == [0.5, 2.0]
-    for text in (["1", "2"], [None, "1"]):
-        with pytest.raises(ValueError, match="x must be an array of numbers, got list"):
-            finite_array("x", text)
-    with pytest.raises(ValueError, match="x must have 4 samples, got 5"):
-        finite_array("x", array, length=4)
-    with pytest.raises(ValueError, match="x must be finite, but sample 1 is nan"):
-        finite_array("x", [1, None])
-    for masked in (np.ma.array([1.0, 1e20], mask=[0, 1]), np.ma.array([1, 9], mask=[0, 1])):
-        with pytest.raises(ValueError, match="x must be finite, but sample 1 is nan"):
-            finite_array("x", masked)
     with pytest.raises(ValueError, match="x must be finite, but sample 7 is nan"):
         finite_numbers("x", np.where(np.arange(20).reshape(10, 2) == 15, np.nan, 1.0))
-    with pytest.raises(ValueError, match="one-dimensional with at least one sample, got shape"):
-        finite_array("x", [[1.0]])
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (["1", "2"], "be an array of numbers, got list"),
+        ([None, "1"], "be an array of numbers, got list"),
+        ([1, None], "be finite, but sample 1 is nan"),
+        (np.ma.array([1.0, 1e20], mask=[0, 1]), "be finite, but sample 1 is nan"),
+        (np.ma.array([1, 9], mask=[0, 1]), "be finite, but sample 1 is nan"),
+        ([[1.0]], "be one-dimensional with at least one sample, got shape"),
+        (np.arange(5), "have 4 samples, got 5"),
+    ],
+)
+def test_what_is_no_array_of_four_numbers(values, words):
+    with pytest.raises(ValueError, match=f"^x must {words}"):
+        finite_array("x", values, length=4)
 
 
 def test_the_class_and_a_remedy_are_named():

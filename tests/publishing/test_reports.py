@@ -41,28 +41,23 @@ from trustlab.reproduction.published import VERDICTS
 
 
 NOTEBOOKS = ROOT / "notebooks"
+REPORTS = {path.stem.partition("_")[2]: path for path in NOTEBOOKS.glob("*.ipynb")}
 CHECK = "tl.publishing.only_parameters(globals())"
 CLAIMS = tl.reproduction.verdicts()
 
 
 def heads_of(report):
-    named = (p for p in NOTEBOOKS.glob("*.ipynb") if p.stem.partition("_")[2] == report)
-    path = next(named)
-    cells = nbformat.read(path, as_version=4).cells
+    cells = nbformat.read(REPORTS[report], 4).cells
     texts = [cell.source for cell in cells if cell.cell_type == "markdown"]
     return [line.lstrip("# ") for text in texts for line in text.splitlines()]
 
 
 def test_every_claim_of_the_text_has_a_verdict():
-    text = {
-        f"Fig. {chapter}.{n}"
-        for chapter, last in ((1, 2), (2, 18), (3, 22), (4, 5))
-        for n in range(1, last + 1)
-    }
-    numbered = {"Theorem": 6, "Lemma": 8, "Proposition": 3, "Algorithm": 3, "Remark": 13}
-    numbered |= {"Assumption": 4, "Definition": 4}
-    text |= {f"{kind} {n}" for kind, last in numbered.items() for n in range(1, last + 1)}
-    text |= {f"Table 2.{n}" for n in range(1, 7)} | {"Table 3.1", *tl.published_studies()}
+    last = {"Fig. 1.": 2, "Fig. 2.": 18, "Fig. 3.": 22, "Fig. 4.": 5, "Table 2.": 6, "Table 3.": 1}
+    last |= {"Theorem ": 6, "Lemma ": 8, "Proposition ": 3, "Algorithm ": 3, "Remark ": 13}
+    last |= {"Assumption ": 4, "Definition ": 4}
+    text = {f"{kind}{n + 1}" for kind, count in last.items() for n in range(count)}
+    text |= {*tl.published_studies()}
     assert text <= {*CLAIMS.index}
     others = ("Abstract", "Chapter 1", "Section", "(", "Appendix A")
     assert all(claim.startswith(others) for claim in {*CLAIMS.index} - text)
@@ -79,8 +74,7 @@ def test_a_verdict_has_its_reason_and_a_section_that_is_there(claim):
 def test_every_report_with_a_claim_reads_its_verdicts():
     shown = CLAIMS[CLAIMS["verdict"] != "diagram"]["report"]
     for report in {*shown} - {""}:
-        (path,) = [p for p in NOTEBOOKS.glob("*.ipynb") if p.stem.partition("_")[2] == report]
-        assert f'verdicts(\\"{report}\\")' in path.read_text(encoding="utf-8"), report
+        assert f'verdicts(\\"{report}\\")' in REPORTS[report].read_text(encoding="utf-8"), report
 
 
 def test_verdicts_are_those_of_the_audit_and_of_the_reconstructions():

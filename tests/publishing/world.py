@@ -156,12 +156,6 @@ def faults(folder):
     return found
 
 
-def sizes(folder):
-    """The size of every page with what it loads [B], figures and the common files left out."""
-    for path in pages(folder):
-        yield path.name, path.stat().st_size
-
-
 def serious(tab, path):
     """What axe-core finds serious."""
     axe = pytest.importorskip(

@@ -1,5 +1,7 @@
 """What an error says: file, line, column and remedy. Where the remedy is a line, it works."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -195,10 +197,8 @@ def test_the_first_fault_of_a_recipe_names_table_and_key(tmp_path, old, new, wor
     assert old in LAB
     path = tmp_path / "lab.toml"
     path.write_text(LAB.replace(old, new, 1))
-    with pytest.raises(RecipeError) as caught:
+    with pytest.raises(RecipeError, match=f"^{path}: .*{re.escape(words)}"):
         load_recipe(path)
-    assert str(caught.value).startswith(f"{path}: ")
-    assert words in str(caught.value)
 
 
 def test_what_is_not_there_or_of_no_known_kind(read, tmp_path):
@@ -219,9 +219,8 @@ def test_what_is_not_there_or_of_no_known_kind(read, tmp_path):
             "beside a recipe: state them in its [table]",
         ),
     ]:
-        with pytest.raises(ValueError) as caught:
+        with pytest.raises(ValueError, match=re.escape(words)):
             read_session(path, **options)
-        assert words in str(caught.value)
     with pytest.raises(ValueError, match="read a single file with read_session"):
         read_sessions(tmp_path / "run.csv")
 
@@ -238,9 +237,8 @@ def test_what_a_frame_lacks():
         (lambda: read_frame(frame).require("p_h"), "session.with_performance(…) computes p_r and"),
         (lambda: read_frame(frame).require("u_h_x"), "with_columns(u_h_x=session['human_x'], …)"),
     ]:
-        with pytest.raises(SessionError) as caught:
+        with pytest.raises(SessionError, match=re.escape(words)):
             call()
-        assert words in str(caught.value)
 
 
 def test_times_that_a_frame_has_twice_or_in_another_type():

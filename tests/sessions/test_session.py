@@ -13,8 +13,7 @@ from trustlab.sessions.vocabulary import UNITS, to_si
 
 
 def frame(n=11, **columns):
-    t = pd.Index(np.arange(n) * 0.1, name="t")
-    return pd.DataFrame({"mode": np.ones(n), **columns}, index=t)
+    return pd.DataFrame({"mode": np.ones(n), **columns}, index=np.arange(n) * 0.1)
 
 
 def test_a_session_knows_its_time_and_names():
@@ -53,7 +52,7 @@ def test_a_step_may_differ_by_one_per_cent_of_the_median(share, rows):
 )
 def test_time_that_is_not_uniform(t, words):
     with pytest.raises(tl.SessionError, match=words):
-        tl.Session(pd.DataFrame({"mode": 1.0}, index=pd.Index(t, name="t")))
+        tl.Session(pd.DataFrame({"mode": 1.0}, index=t))
 
 
 @pytest.mark.parametrize(
@@ -100,12 +99,13 @@ def test_parts_and_added_columns():
     assert session.columns == ["mode"]
 
 
-def test_a_part_holds_the_samples_at_its_ends_however_their_times_are_rounded():
+def test_a_part_holds_the_samples_at_its_ends_and_has_facts_of_its_own():
     """0.30000000000000004 s was cut off by between(0.0, 0.3)."""
-    session = tl.Session(frame().set_axis(np.arange(11) * 0.1))
-    assert len(session.between(0.0, 0.3)) == 4
-    assert len(session.between(0.3, 0.6)) == 4
-    assert len(session.between(0.30001, 0.59999)) == 2
+    session = tl.Session(frame())
+    parts = [session.between(*ends) for ends in ((0.0, 0.3), (0.3, 0.6), (0.30001, 0.59999))]
+    assert [len(part) for part in parts] == [4, 4, 2]
+    parts[0].metadata.more["excluded"] = True
+    assert "excluded" not in session.metadata.more
 
 
 def test_units_against_their_definitions():
@@ -138,13 +138,6 @@ def test_paths_and_means_of_several_sessions():
     mean = tl.sessions.plot_by_participant(table, "error").lines[-1]
     assert mean.get_ydata().tolist() == [4.0, 6.0]
     plt.close("all")
-
-
-def test_a_part_has_facts_of_its_own():
-    whole = tl.Session(frame(p_r=0.5))
-    part = whole.between(0.0, 0.2)
-    part.metadata.more["excluded"] = True
-    assert "excluded" not in whole.metadata.more
 
 
 def test_a_series_is_taken_by_place():

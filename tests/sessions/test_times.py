@@ -66,23 +66,31 @@ def test_dates_keep_their_digits(read, zone):
 # --- rows out of order, repeated, after a jump or a gap -------------------------------------------
 
 
+# Columns of states, robots and choices: no other lies between two of them.
+WHOLE = {"mode": "m", "may_switch": "m", "alpha_choice": "m", "leader_choice": "n", "leader": "n"}
+
+
 @given(counts=st.lists(st.integers(1, 3), min_size=2, max_size=8), seed=st.integers(0, 99))
 @pytest.mark.parametrize("rule", ["first", "last", "mean"])
 def test_sorted_and_merged_rows_are_those_of_pandas(rule, counts, seed):
+    """A mean of states would be none, robot 2.5 led; of distances all but one were lost."""
     rng = np.random.default_rng(seed)
     t = rng.permutation(np.repeat(np.arange(len(counts)), counts))
-    columns = {"a": rng.random(t.size), "m": rng.integers(0, 2, t.size), "h": rng.random(t.size)}
+    columns = {"a": rng.random(t.size), "h": rng.random(t.size)}
+    columns |= {"m": rng.integers(0, 2, t.size), "n": rng.integers(1, 5, t.size)}
     frame = pd.DataFrame({"t": t, **columns})
+    states = "".join(f'{ours} = {{ column = "{theirs}" }}\n' for ours, theirs in WHOLE.items())
     session = read_frame(
         frame,
         table_recipe(
-            f'[time]\nunit = "s"\nsort = true\nrepeated = "{rule}"\n{PLAIN}'
-            'mode = { column = "m" }\nyaw = { column = "h", unit = "rad" }'
+            f'[time]\nunit = "s"\nsort = true\nrepeated = "{rule}"\n{PLAIN}{states}'
+            'yaw = { column = "h", unit = "rad" }\nstep_distance = { column = "a", unit = "m" }'
         ),
     )
     groups = frame.sort_values("t", kind="stable").groupby("t")
     np.testing.assert_allclose(session["p_r"], getattr(groups["a"], rule)(), rtol=1e-15)
-    for ours, theirs in (("mode", "m"), ("yaw", "h")):  # a mean of states would be none
+    np.testing.assert_allclose(session["step_distance"], groups["a"].sum(), rtol=1e-15)
+    for ours, theirs in {**WHOLE, "yaw": "h"}.items():
         expected = groups[theirs].first() if rule == "first" else groups[theirs].last()
         assert session[ours].tolist() == expected.tolist()
     more = session.metadata.more
@@ -272,56 +280,32 @@ def test_a_distance_since_the_sample_before_is_that_since_the_new_one(method, sa
     assert session["step_distance"][0] == session["step_distance"][1]
 
 
-@pytest.mark.parametrize("rule", ["first", "last", "mean"])
-def test_distances_of_merged_samples_add_up(rule):
-    """All but one of them were lost."""
-    frame = pd.DataFrame({"t": [0, 1, 1, 2], "step_distance": [0.1, 0.2, 0.4, 0.3]})
-    text = f'[time]\nunit = "s"\nrepeated = "{rule}"\n'
-    rules = '[columns]\nstep_distance = { column = "step_distance", unit = "m" }'
-    session = read_frame(frame, table_recipe(text + rules))
-    np.testing.assert_allclose(session["step_distance"], [0.1, 0.6, 0.3])
-
-
-@pytest.mark.parametrize("name", ["leader", "leader_choice", "may_switch", "alpha_choice"])
-def test_no_robot_and_no_choice_lies_between_two_others(name):
-    """Robot 2.5 led, where 1 and then 4 had."""
-    frame = pd.DataFrame({"t": [0.0, 1.0, 1.0, 2.0], name: [1, 0, 1, 1]})
-    merged = table_recipe(
-        f'[time]\nunit = "s"\nrepeated = "mean"\n[columns]\n{name} = {{ column = "{name}" }}'
-    )
-    frame[name] += name == "leader"
-    session = read_frame(frame, merged, resample="linear", sample_time=0.5)
-    assert set(session[name]) <= set(frame[name])
-
-
 # --- what is doubted ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("step", "value", "words", "remedy"),
+    ("step", "value", "words", "unit", "rule", "meant"),
     [
-        (4.99, 10, None, ""),
-        (100, 1, 'samples are 100 s apart, .* unit = "ms"', "ms"),
-        (1e5, 1, 'samples are 100000 s apart, .* unit = "us"', "us"),
-        (1e8, 1, 'samples are 1e[+]08 s apart, .* unit = "ns"', "ns"),
-        (1, -0.1, "column p_r has negative values.*offset", "offset = 0.1"),
-        (1, 35, 'column p_r goes beyond 10, .*unit = "%"', 'unit = "%"'),
+        (4.99, 10, None, "s", "", 10),
+        (100, 1, 'samples are 100 s apart, .* unit = "ms"', "ms", "", 1),
+        (1e5, 1, 'samples are 100000 s apart, .* unit = "us"', "us", "", 1),
+        (1e8, 1, 'samples are 1e[+]08 s apart, .* unit = "ns"', "ns", "", 1),
+        (1, -0.1, "column p_r has negative values.*offset", "s", ", offset = 0.1", 0),
+        (1, 35, 'column p_r goes beyond 10, .*unit = "%"', "s", ', unit = "%"', 0.35),
     ],
 )
 def test_values_hardly_meant_are_told_once_and_the_remedy_works(
-    read, recwarn, step, value, words, remedy
+    read, recwarn, step, value, words, unit, rule, meant
 ):
     rows = "t,a\n" + "".join(f"{1.7e9 + k * step:.2f},{value}\n" for k in range(9))
     read(rows, PLAIN)
     told = [str(each.message) for each in recwarn]
     assert len(told) == (words is not None)
-    if words:
-        assert re.search(rf"run\.csv: {words}", told[0])
+    assert all(re.search(rf"run\.csv: {words}", each) for each in told)
     recwarn.clear()
-    unit = f'[time]\nunit = "{remedy if remedy.isalpha() else "s"}"\n'
-    session = read(rows, unit + PLAIN.replace('"a"', f'"a", {remedy}' if "=" in remedy else '"a"'))
+    session = read(rows, f'[time]\nunit = "{unit}"\n' + PLAIN.replace('"a"', f'"a"{rule}'))
     assert not recwarn.list
-    assert session["p_r"][0] == pytest.approx({-0.1: 0.0, 35: 0.35}.get(value, value))
+    assert session["p_r"][0] == pytest.approx(meant)
 
 
 @pytest.mark.parametrize("rate", [1, 200, 1000])
