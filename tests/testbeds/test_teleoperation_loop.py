@@ -30,6 +30,13 @@ def tmig(state):
     return alpha, logistic(state.beta_min, state.beta_max, state.trust_rh)
 
 
+@partial(tl.Scheme, "remembering")
+def remembering(state):
+    """Shares that keep something by names that a vehicle might choose, too."""
+    state.memory.update(x=state.robot + 9.0, start=state.robot + 9.0)
+    return 0.5, 0.3
+
+
 def lag(state):
     """A vehicle whose velocity follows the command."""
     velocity = state.velocity + 0.02 * (state.command - state.velocity)
@@ -177,7 +184,7 @@ def test_a_vehicle_as_matrices_is_the_same_as_a_function():
     step = [[1.0, 0.98 * T], [0.0, 0.98]], [[0.02 * T], [0.02]], np.eye(2)
     matrices = tuple(np.kron(part, np.eye(3)) for part in step)
     runs = [
-        tl.simulate_teleoperation("TMIG", seed=4, duration=SHORT, **flying(vehicle)).data
+        tl.simulate_teleoperation(remembering, seed=4, duration=SHORT, **flying(vehicle)).data
         for vehicle in (matrices, lag)
     ]
     np.testing.assert_allclose(*runs, atol=1e-10)

@@ -121,10 +121,11 @@ def state_space(*matrices: np.ndarray) -> Callable:
         )
 
     def step(state: View) -> tuple[np.ndarray, np.ndarray]:
-        memory = state.memory
-        start = memory.setdefault("start", state.robot.copy())
-        memory["x"] = a @ memory.get("x", np.zeros(n)) + b @ state.command
-        moved = c @ memory["x"]
+        # under a key that no other function has
+        x, start = state.memory.get(step, (np.zeros(n), state.robot.copy()))
+        x = a @ x + b @ state.command
+        state.memory[step] = x, start
+        moved = c @ x
         return start + moved[:3], moved[3:]
 
     return step
