@@ -10,7 +10,15 @@ import pytest
 
 import trustlab as tl
 from tests.loops import T, assert_device_balances, columns, power
-from trustlab.teleoperation import SCHEMES, STUDIES, Guidance, PartError, TeamOperator
+from trustlab.teleoperation import (
+    SCHEMES,
+    STUDIES,
+    Guidance,
+    PartError,
+    TeamOperator,
+    TeamRobot,
+    TeamSettings,
+)
 from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.testbeds import plot_energies
 
@@ -292,6 +300,13 @@ def failing(state):
         ),
         ({"operator": partial(failing)}, "operator .* raised RuntimeError: the hand slipped"),
         (flying(lambda s: (np.nan * s.robot, s.velocity)), "vehicle .* returned robot = .*nan"),
+        ({"trust": lambda s: 0.5}, "trust .* returned 0.5; trust_hr and trust_rh are wanted"),
+        (
+            flying(lambda s: [s.robot]),
+            r"vehicle .* returned \[array.*; robot and velocity are wanted",
+        ),
+        ({"scheme": tl.Scheme("s", lambda s: ("a", 0.3))}, r"alpha = 'a'; it must lie in"),
+        ({"operator": lambda s: "ab"}, "operator .* returned wanted = 'ab'; three finite numbers"),
     ],
 )
 def test_a_part_that_fails_is_named_with_its_time_and_the_run_so_far_is_kept(parts, words):
@@ -307,6 +322,45 @@ def test_a_part_that_fails_is_named_with_its_time_and_the_run_so_far_is_kept(par
         assert again.session.data.equals(loop.session.data.iloc[:-1])
     with pytest.raises(PartError, match=words):
         loop.step()
+
+
+class Interrupted:
+    """A scheme or a policy during which somebody presses Ctrl-C, in its 30th call."""
+
+    title = "interrupted"
+
+    def __init__(self, calls):
+        self.calls = calls
+
+    def __call__(self, state):
+        self.calls += 1
+        if self.calls == 30:
+            raise KeyboardInterrupt
+        return 0.5, 0.3
+
+    def leader(self, now):
+        return int(self(now)[0] > now.trust[0])
+
+
+BETA = tl.trust.TrustInLoop(tl.trust.MODELS["beta"](), every=0.1)
+LOSSY = TeamSettings(robots=TeamRobot(loss=0.5))
+DRIVEN = {"duration": SHORT, "trust": BETA}
+MATRICES = np.eye(3), T * np.eye(3), np.vstack([np.eye(3), np.eye(3)])
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda who: tl.TeleoperationLoop(tl.Scheme("s", who), **DRIVEN, **flying(MATRICES)),
+        lambda who: tl.TeamLoop(np.ones((3, 3)) - np.eye(3), who, settings=LOSSY, **DRIVEN),
+    ],
+)
+def test_a_loop_that_was_interrupted_goes_on_as_if_it_had_not_been(make):
+    whole, loop = make(Interrupted(30)).run(), make(Interrupted(0))
+    with pytest.raises(KeyboardInterrupt):
+        loop.run()
+    run = loop.run()
+    assert getattr(run, "session", run) == getattr(whole, "session", whole)
 
 
 def test_a_loop_ends_with_its_duration():

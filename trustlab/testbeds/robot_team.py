@@ -413,10 +413,11 @@ class TeamLoop(Loop):
         run = self.simulation
         decision = run.done // run.every
         t = decision * self._step
-        if decision > 0:
-            drawn = self._performance == "random"
-            self._judge(self._drawn[decision - 1] if drawn else self._rated(state))
-        self._levels.append(self.trust)
+        if decision == len(self._levels):  # else done before an interruption
+            if decision > 0:
+                drawn = self._performance == "random"
+                self._judge(self._drawn[decision - 1] if drawn else self._rated(state))
+            self._levels.append(self.trust)
         number = sum([graph.since <= t + SLACK for graph in self._graphs]) - 1
         self._graph = self._graphs[number]
         inputs["graph"], inputs["lead"] = number, self._choose(t)

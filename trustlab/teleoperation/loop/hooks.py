@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import finite_numbers
+from trustlab.models.checks import finite_numbers, shown
 from trustlab.models.simulation import DivergenceError as DivergenceError, PartError, View
 
 # What a user's function decides, in the order in which they are asked. Where the vehicle went and
@@ -57,21 +57,21 @@ def asking(
     def decide(_: Any, inputs: np.ndarray) -> None:
         for part, names in parts.items():
             rests = part in FOLLOWING and view.t == 0.0
-            if part in hooks and not (rests or (part == "autonomy" and not view.finds)):
+            # what is given, or was decided before an interruption, is not asked for
+            needed = [name for name in names if math.isnan(inputs[name].item(0))]
+            asks = needed and part in hooks
+            if asks and not (rests or (part == "autonomy" and not view.finds)):
                 try:
-                    values = hooks[part](view)
-                    values = values if len(names) > 1 else (values,)
-                    for name, value in zip(names, values, strict=True):
-                        value = checked(name, value, bounds)
-                        if math.isnan(inputs[name].item(0)):
-                            inputs[name] = value
+                    decided = checked(names, hooks[part](view), bounds)
                 except Exception as error:
-                    fault = str(error)
+                    fault: Any = error
                     if not isinstance(error, ReturnedError):
-                        fault = f"raised {type(error).__name__}: {fault}"
+                        fault = f"raised {type(error).__name__}: {error}"
                     raise PartError(
                         f"the {part} of this loop {fault}, at t = {view.t:g} s"
                     ) from error
+                for name in needed:
+                    inputs[name] = decided[name]
             known = [name for name in names if not math.isnan(inputs[name].item(0))]
             for name in known:
                 fields[name][:] = inputs[name]
@@ -88,19 +88,33 @@ class ReturnedError(ValueError):
     """A function returned what cannot be."""
 
 
-def checked(name: str, value: Any, bounds: Mapping[str, tuple[float, float]]) -> Any:
-    """Return what a function decided: finite, three numbers for a vector, and within its bounds."""
-    if name in VECTORS:
-        value = np.asarray(value, float)
-        valid = value.shape == (3,) and np.isfinite(value).all()
-        wanted = "three finite numbers are wanted, for x, y and z"
-    else:
-        low, high = bounds[name]
-        valid = low <= value <= high
-        wanted = f"it must lie in [{low:g}, {high:g}], as the loop's settings have it"
-    if not valid:
-        raise ReturnedError(f"returned {name} = {value}; {wanted}")
-    return value
+def checked(
+    names: tuple[str, ...], returned: Any, bounds: Mapping[str, tuple[float, float]]
+) -> dict[str, Any]:
+    """
+    Return what a function decided, by name: three finite numbers for a vector, others within their
+    bounds.
+    """
+    try:
+        decided = dict(zip(names, returned if len(names) > 1 else [returned], strict=True))
+    except (TypeError, ValueError):
+        wanted = f"{' and '.join(names)} are wanted"
+        raise ReturnedError(f"returned {shown(returned)}; {wanted}") from None
+    for name, value in decided.items():
+        try:
+            if name in VECTORS:
+                wanted = "three finite numbers are wanted, for x, y and z"
+                decided[name] = vector = np.asarray(value, float)
+                valid = vector.shape == (3,) and np.isfinite(vector).all()
+            else:
+                low, high = bounds[name]
+                wanted = f"it must lie in [{low:g}, {high:g}], as the loop's settings have it"
+                valid = low <= value <= high
+        except (TypeError, ValueError):
+            valid = False
+        if not valid:
+            raise ReturnedError(f"returned {name} = {shown(value)}; {wanted}")
+    return decided
 
 
 def is_state_space(vehicle: Any) -> bool:
