@@ -296,9 +296,9 @@ def failing(state):
         ),
         (
             {"scheme": tl.Scheme("s", lambda s: (s.robot_x, 0.3))},
-            "raised AttributeError: the state has no 'robot_x'",
+            "AttributeError: the state has no 'robot_x'",
         ),
-        ({"operator": partial(failing)}, "operator .* raised RuntimeError: the hand slipped"),
+        ({"operator": partial(failing)}, "operator .* s: RuntimeError: the hand slipped"),
         (flying(lambda s: (np.nan * s.robot, s.velocity)), "vehicle .* returned robot = .*nan"),
         ({"trust": lambda s: 0.5}, "trust .* returned 0.5; trust_hr and trust_rh are wanted"),
         (

@@ -38,6 +38,14 @@ class PartError(ValueError):
     session: Any = None
 
 
+def asked(part: str, t: float, function: Callable, *arguments: Any) -> Any:
+    """Return what a function of the user's part returns at t [s]; an error names both."""
+    try:
+        return function(*arguments)
+    except Exception as error:
+        raise PartError(f"{part}, at t = {t:g} s: {type(error).__name__}: {error}") from error
+
+
 class View:
     """
     Records by name: numbers as Python's, vectors as arrays over the same memory. Nothing can be

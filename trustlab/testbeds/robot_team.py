@@ -22,7 +22,7 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.records import coloured
-from trustlab.models.simulation import Loop, PartError, Simulation, View, filled
+from trustlab.models.simulation import Loop, Simulation, View, asked, filled
 from trustlab.models.trust import trust_step
 from trustlab.teleoperation.delays import both_ways, delays_in_samples
 from trustlab.teleoperation.filters import corrected_filter
@@ -416,7 +416,8 @@ class TeamLoop(Loop):
         if decision == len(self._levels):  # else done before an interruption
             if decision > 0:
                 drawn = self._performance == "random"
-                self._judge(self._drawn[decision - 1] if drawn else self._rated(state))
+                performance = self._drawn[decision - 1] if drawn else self._rated(state)
+                asked("the trust model", t, self._judge, performance)
             self._levels.append(self.trust)
         number = sum([graph.since <= t + SLACK for graph in self._graphs]) - 1
         self._graph = self._graphs[number]
@@ -456,7 +457,9 @@ class TeamLoop(Loop):
         self._now = now = replace(self._now, t=t, present=graph.present, may_lead=able, trust=trust)
         if self._named is not None and not able[self._named]:
             self._named = None
-        pick = self._asked(now) if self._named is None else self._named
+        pick = self._named
+        if pick is None:
+            pick = asked(f"the leader policy {self._policy.title!r}", t, self._picked, now)
         if pick != now.leader:
             if not now.free:
                 self._waits += 1
@@ -464,20 +467,14 @@ class TeamLoop(Loop):
             now.leader, now.since = pick, t
         return pick
 
-    def _asked(self, now: TeamSituation) -> int:
+    def _picked(self, now: TeamSituation) -> int:
         """Return whom the policy picks, who can lead."""
-        try:
-            pick = self._policy.leader(now)
-            pick = whole_number("the number of a robot", pick, 0, len(self.robots) - 1)
-            if not now.may_lead[pick]:
-                why = "not all others see, directly or through others, so that it cannot lead them"
-                why = why if now.present[pick] else "is not in the team then"
-                raise ValueError(f"robot {self.robots[pick]!r}, {why}; who can: {self._able()}")
-        except Exception as error:
-            raise PartError(
-                f"the leader policy {self._policy.title!r}, at t = {now.t:g} s: "
-                f"{type(error).__name__}: {error}"
-            ) from error
+        pick = self._policy.leader(now)
+        pick = whole_number("the number of a robot", pick, 0, len(self.robots) - 1)
+        if not now.may_lead[pick]:
+            why = "not all others see, directly or through others, so that it cannot lead them"
+            why = why if now.present[pick] else "is not in the team then"
+            raise ValueError(f"robot {self.robots[pick]!r}, {why}; who can: {self._able()}")
         return pick
 
     # --- the run ----------------------------------------------------------------------------------

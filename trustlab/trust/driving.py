@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import Checked, Positive, Share
+from trustlab.models.checks import Checked, Positive, Share, finite_number
+from trustlab.models.simulation import asked
 from trustlab.models.trust import TrustModel
 from trustlab.trust.interface import Event, TrustDynamics
 
@@ -98,7 +99,7 @@ class TrustCourse:
         self.share = driver.start
         self._model = driver.model
         self._samples = max(round(driver.every / sample_time), 1)
-        self._belief: Any = driver.model.start(np.array([driver.start]))
+        self._belief = asked("the trust model", 0.0, driver.model.start, np.array([driver.start]))
         self._trial: list[float] = []
 
     def step(self, performance: float) -> float:
@@ -117,6 +118,7 @@ class TrustCourse:
             if judged:
                 event = Event(p_r=np.array([sum(judged) / len(judged)]))
                 self._belief = self._model.step(self._belief, event)
-                expected = float(self._model.rating(self._belief).mean[0])
+                mean = np.squeeze(self._model.rating(self._belief).mean)
+                expected = finite_number("the mean of one person's rating", mean)
                 self.share = min(max(expected, 0.0), 1.0)
         return self.share

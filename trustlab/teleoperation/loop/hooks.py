@@ -12,7 +12,12 @@ from typing import Any
 import numpy as np
 
 from trustlab.models.checks import finite_numbers, shown
-from trustlab.models.simulation import DivergenceError as DivergenceError, PartError, View
+from trustlab.models.simulation import (
+    DivergenceError as DivergenceError,
+    PartError as PartError,
+    View,
+    asked,
+)
 
 # What a user's function decides, in the order in which they are asked. Where the vehicle went and
 # how trust changed follow from the sample before: these two are not asked at the start.
@@ -61,15 +66,8 @@ def asking(
             needed = [name for name in names if math.isnan(inputs[name].item(0))]
             asks = needed and part in hooks
             if asks and not (rests or (part == "autonomy" and not view.finds)):
-                try:
-                    decided = checked(names, hooks[part](view), bounds)
-                except Exception as error:
-                    fault: Any = error
-                    if not isinstance(error, ReturnedError):
-                        fault = f"raised {type(error).__name__}: {error}"
-                    raise PartError(
-                        f"the {part} of this loop {fault}, at t = {view.t:g} s"
-                    ) from error
+                part, function = f"the {part} of this loop", hooks[part]
+                decided = asked(part, view.t, checked, names, function, view, bounds)
                 for name in needed:
                     inputs[name] = decided[name]
             known = [name for name in names if not math.isnan(inputs[name].item(0))]
@@ -84,22 +82,19 @@ def asking(
     return decide
 
 
-class ReturnedError(ValueError):
-    """A function returned what cannot be."""
-
-
 def checked(
-    names: tuple[str, ...], returned: Any, bounds: Mapping[str, tuple[float, float]]
+    names: tuple[str, ...], function: Callable, view: View, bounds: Mapping[str, tuple]
 ) -> dict[str, Any]:
     """
-    Return what a function decided, by name: three finite numbers for a vector, others within their
+    Return what a function decides, by name: three finite numbers for a vector, others within their
     bounds.
     """
+    returned = function(view)
     try:
         decided = dict(zip(names, returned if len(names) > 1 else [returned], strict=True))
     except (TypeError, ValueError):
         wanted = f"{' and '.join(names)} are wanted"
-        raise ReturnedError(f"returned {shown(returned)}; {wanted}") from None
+        raise ValueError(f"returned {shown(returned)}; {wanted}") from None
     for name, value in decided.items():
         try:
             if name in VECTORS:
@@ -113,7 +108,7 @@ def checked(
         except (TypeError, ValueError):
             valid = False
         if not valid:
-            raise ReturnedError(f"returned {name} = {shown(value)}; {wanted}")
+            raise ValueError(f"returned {name} = {shown(value)}; {wanted}")
     return decided
 
 
