@@ -364,10 +364,13 @@ def test_a_loop_that_was_interrupted_goes_on_as_if_it_had_not_been(make):
 
 
 def test_a_loop_ends_with_its_duration():
+    words = r"ends at t = 0\.3 s; make it with a longer duration"
     loop = tl.TeleoperationLoop("M", duration=0.3)
     loop.run()
-    with pytest.raises(ValueError, match=r"ends at t = 0\.3 s; make it with a longer duration"):
+    with pytest.raises(ValueError, match=words):
         loop.step()
+    with pytest.raises(ValueError, match=words):
+        tl.TeamLoop(np.ones((3, 3)) - np.eye(3), duration=0.3).step(samples=301)
     for until in (0.2, 0.4):
         with pytest.raises(ValueError, match=r"until must lie between t = 0\.3 s"):
             loop.run(until)

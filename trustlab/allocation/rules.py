@@ -172,7 +172,10 @@ def prepared_rule(rule: object, mode: int | None) -> tuple[Any, int]:
             "None (keep the mode), as objects of ThresholdRule and PerformanceRule have; got "
             f"{shown(rule)}"
         )
-    rule = deepcopy(rule)
+    try:
+        rule = deepcopy(rule)
+    except Exception as error:
+        raise ValueError(f"rule must be one that copy.deepcopy can copy: {error}") from error
     own = whole_number("rule.mode", getattr(rule, "mode", 1), least=0, most=1)
     mode = own if mode is None else whole_number("mode", mode, least=0, most=1)
     if mode != own and hasattr(rule, "mode"):

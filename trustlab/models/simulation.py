@@ -137,7 +137,7 @@ class Simulation:
         Samples from one decision to the next.
     blocks : sequence of str
         Names of the blocks that may diverge, by their number.
-    sample_time : float, optional
+    sample_time : float
         T [s], for the message of a divergence.
 
     Attributes
@@ -179,7 +179,7 @@ class Simulation:
     decide: Callable | None = None
     every: int = 1
     blocks: tuple[str, ...] = ()
-    sample_time: float | None = None
+    sample_time: float = 1.0
     done: int = 0
     ended: bool = False
 
@@ -213,11 +213,9 @@ class Simulation:
             records = self.setup, self.state, self.inputs, self.log
             self.done, block = self._compiled(self.done, until, *records)
             if block >= 0:
-                seconds = (
-                    "" if self.sample_time is None else f" ({self.done * self.sample_time:g} s)"
-                )
+                seconds = self.done * self.sample_time
                 raise DivergenceError(
-                    f"{self.blocks[block]} diverged at sample {self.done}{seconds}"
+                    f"{self.blocks[block]} diverged at sample {self.done} ({seconds:g} s)"
                 )
             self.ended = block == END
 
@@ -293,7 +291,8 @@ class Loop:
         run = self.simulation
         stop = run.done + samples
         if stop > self.count:
-            raise ValueError(f"the loop ends at t = {self.t:g} s; make it with a longer duration")
+            end = self.count * run.sample_time
+            raise ValueError(f"the loop ends at t = {end:g} s; make it with a longer duration")
         if hand is not None:
             place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)
             given["hand"] = place

@@ -23,7 +23,7 @@ from trustlab.studies.designs import LatinSquareDesign, latin_square_design, par
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.table import labelled, labels_of
 from trustlab.studies.words import listed
-from trustlab.testbeds.deciding import warn_if_too_short
+from trustlab.testbeds.deciding import named_condition, warn_if_too_short
 from trustlab.testbeds.testbed import ConditionTestbed, Testbed, named_testbed
 
 # Where the measures come from, for headers and captions.
@@ -308,8 +308,13 @@ def virtual_study(
     if design is None:
         design = latin_square_design(names, n, seed=seed, whole_squares=False)
     people = bed.people(n, assumptions, seed)
+    if [*people.get("participant", ())] != [*range(1, n + 1)]:
+        raise ValueError(
+            f"people of {bed.title} must be numbered from 1 to {n} in a column participant"
+        )
     for name in bed.rules if bed.takes_rules else ():  # a rule is refused before anybody runs
-        bed.rule_of(name, people.iloc[0].to_dict())
+        with named_condition(name):
+            bed.rule_of(name, people.iloc[0].to_dict())
     folder = None
     if out is not None:
         folder = path_of("out", out)
@@ -373,8 +378,8 @@ def _fitting(testbed: Any, conditions: Any, laps: int | None) -> tuple[Any, tupl
             rules[condition[0]] = condition[1]
             condition = condition[0]
         names.append(condition)
-    if any("/" in str(name) for name in rules):  # it becomes part of file names
-        raise ValueError(f"conditions: the name of a rule must be text without /, got {[*rules]}")
+    if any("/" in str(name) for name in names):  # it becomes part of file names
+        raise ValueError(f"conditions must be names without /, got {names}")
     if rules:
         if not getattr(bed, "takes_rules", False):
             raise ValueError(f"on {bed.title} no rule decides; conditions are names alone")
@@ -448,7 +453,8 @@ def run_participant(
     person: Mapping[str, Any] = numbers | {"participant": participant}
     measures = {}
     for position, condition in enumerate(conditions, start=1):
-        run = testbed.run(condition, person, streams[condition])
+        with named_condition(condition):
+            run = testbed.run(condition, person, streams[condition])
         if folder is not None:
             session = run.session.with_metadata(trial=position, testbed=testbed.name)
             write_session(session, session_file(folder, participant, position, condition))

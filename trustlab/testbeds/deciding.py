@@ -4,7 +4,8 @@ suggestions, for all testbeds.
 """
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -160,12 +161,22 @@ def obeying(rule: Any) -> Callable:
     return decide
 
 
+@contextmanager
+def named_condition(condition: str) -> Iterator[None]:
+    """Name the condition in errors of the user's rule, policy or testbed."""
+    try:
+        yield
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ValueError(f"condition {condition!r}: {reason}") from error
+
+
 def check_rules(rules: Any, known: Mapping, made: str) -> None:
     """Refuse a user's conditions whose name is taken, or that cannot be called."""
     if not isinstance(rules, Mapping):
         raise ValueError(f"rules must map names to what makes {made}; got {shown(rules)}")
     for name, make in rules.items():
-        if name in known or not callable(make):
+        if not isinstance(name, str) or name in known or not callable(make):
             raise ValueError(
                 f"rules: {name!r} must be a name of its own, for what makes {made}, so that no run "
                 f"begins in the state of another; got {shown(make)}"

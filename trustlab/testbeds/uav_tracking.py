@@ -279,7 +279,10 @@ class TeleoperationLoop(Loop):
     ):
         self.scheme, self.settings = scheme_named(scheme), study_named(study)
         self.seed, self.guidance = seed, guidance_named(guidance)
-        self.remedy = "lower k_ffa, the hand's gains or the sample time, or see which guard is off"
+        self.remedy = (
+            "lower k_ffa, the hand's gains or the sample time, or see which guard is off and "
+            "whether the vehicle is stable"
+        )
         study = self.settings.study
         if operator is None:
             operator = Teleoperator(reach=REACH[study])
@@ -515,7 +518,7 @@ def simulate_teleoperation(
         If a function raises an error or returns what cannot be: part and time are named, and
         `.session` of the error is the run so far.
     DivergenceError
-        If the run grows without bound: the time, the block and its energy are named; likewise.
+        If the run grows without bound: the time and the block are named; likewise.
 
     Notes
     -----

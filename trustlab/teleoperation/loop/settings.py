@@ -406,9 +406,7 @@ class Guidance(Checked):
 
 def guidance_named(guidance: str | Guidance) -> Guidance:
     """Return guidance by where it is rendered, or one's own as it is."""
-    if isinstance(guidance, Guidance):
-        return guidance
-    return Guidance(one_of("guidance", guidance, GUIDANCE, also="trustlab.teleoperation.Guidance"))
+    return named("guidance", guidance, Guidance, {where: Guidance(where) for where in GUIDANCE})
 
 
 def bounds_of(settings: LoopSettings) -> dict[str, tuple[float, float]]:

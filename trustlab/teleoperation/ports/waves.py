@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from trustlab.models.checks import (
     Checked,
     Positive,
     Share,
     finite_array,
-    finite_numbers,
     positive,
     whole_number,
 )
@@ -166,19 +164,6 @@ class Scattering(Checked):
             "velocity_robot": far.arriving,
             "velocity_operator": near.sent / near.reflected,
         }
-
-
-def check_scale(name: str, values: ArrayLike, ends: Scattering) -> None:
-    """Refuse a scale, "alpha" or "beta", outside its bounds; the sample is named."""
-    values = np.ravel(finite_numbers(name, values))
-    low, high = getattr(ends, f"{name}_min"), getattr(ends, f"{name}_max")
-    bad = (values < low * (1 - 1e-12)) | (values > high * (1 + 1e-12))
-    if bad.any():
-        k = int(np.argmax(bad))
-        raise ValueError(
-            f"{name} must lie in [{low}, {high}] ({name}_min, {name}_max), but sample {k} is "
-            f"{values[k]}"
-        )
 
 
 # --- waves that arrive late ---------------------------------------------------------------------
