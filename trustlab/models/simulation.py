@@ -38,12 +38,12 @@ class PartError(ValueError):
     session: Any = None
 
 
-def asked(part: str, t: float, function: Callable, *arguments: Any) -> Any:
-    """Return what a function of the user's part returns at t [s]; an error names both."""
+def asked(where: str, function: Callable, *arguments: Any, **more: Any) -> Any:
+    """Return what a function of the user's returns; an error says where it was called."""
     try:
-        return function(*arguments)
+        return function(*arguments, **more)
     except Exception as error:
-        raise PartError(f"{part}, at t = {t:g} s: {type(error).__name__}: {error}") from error
+        raise PartError(f"{where}: {type(error).__name__}: {error}") from error
 
 
 class View:
@@ -291,8 +291,10 @@ class Loop:
         run = self.simulation
         stop = run.done + samples
         if stop > self.count:
-            end = self.count * run.sample_time
-            raise ValueError(f"the loop ends at t = {end:g} s; make it with a longer duration")
+            raise ValueError(
+                f"the loop ends at t = {self.count * run.sample_time:g} s; make it with a longer "
+                "duration"
+            )
         if hand is not None:
             place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)
             given["hand"] = place

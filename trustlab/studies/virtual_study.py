@@ -18,12 +18,13 @@ from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import counted, of_class, one_of, shown, warn, whole_number
 from trustlab.models.display import Result, axes_or_new
 from trustlab.models.files import path_of, writing
+from trustlab.models.simulation import asked
 from trustlab.sessions.writing import write_session
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.table import labelled, labels_of
 from trustlab.studies.words import listed
-from trustlab.testbeds.deciding import named_condition, warn_if_too_short
+from trustlab.testbeds.deciding import warn_if_too_short
 from trustlab.testbeds.testbed import ConditionTestbed, Testbed, named_testbed
 
 # Where the measures come from, for headers and captions.
@@ -313,8 +314,7 @@ def virtual_study(
             f"people of {bed.title} must be numbered from 1 to {n} in a column participant"
         )
     for name in bed.rules if bed.takes_rules else ():  # a rule is refused before anybody runs
-        with named_condition(name):
-            bed.rule_of(name, people.iloc[0].to_dict())
+        asked(f"condition {name!r}", bed.rule_of, name, people.iloc[0].to_dict())
     folder = None
     if out is not None:
         folder = path_of("out", out)
@@ -453,8 +453,8 @@ def run_participant(
     person: Mapping[str, Any] = numbers | {"participant": participant}
     measures = {}
     for position, condition in enumerate(conditions, start=1):
-        with named_condition(condition):
-            run = testbed.run(condition, person, streams[condition])
+        stream = streams[condition]
+        run = asked(f"condition {condition!r}", testbed.run, condition, person, stream)
         if folder is not None:
             session = run.session.with_metadata(trial=position, testbed=testbed.name)
             write_session(session, session_file(folder, participant, position, condition))

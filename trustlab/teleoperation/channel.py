@@ -180,10 +180,12 @@ def channel_run(
     near, far = np.broadcast_to(numbers.astype(int), (2, count))
     alphas = _scale("alpha", alpha, np.array([end.alpha_max for end in ends])[far])
     betas = _scale("beta", beta, np.array([end.beta_max for end in ends])[near])
-    for name, values in (("alpha", alphas), ("beta", betas)) if leaders is None else ():
-        bounds = f"{name}_min", f"{name}_max"
-        low, high = (getattr(ends[0], bound) for bound in bounds)
-        array_between(name, values, low * (1 - SLACK), high * (1 + SLACK), ", ".join(bounds))
+    if leaders is None:
+        end, low, high = ends[0], 1.0 - SLACK, 1.0 + SLACK
+        alpha_ends = low * end.alpha_min, high * end.alpha_max
+        beta_ends = low * end.beta_min, high * end.beta_max
+        array_between("alpha", alphas, *alpha_ends, "alpha_min, alpha_max")
+        array_between("beta", betas, *beta_ends, "beta_min, beta_max")
     rate = max(end.max_delay_rate for end in ends)
     delays = {"delay_1": delay_1, "delay_2": delay_2}
     f_m, r_s, u_l, v_l, u_r, v_r = np.zeros((6, *r_m.shape))

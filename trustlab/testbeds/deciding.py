@@ -4,8 +4,7 @@ suggestions, for all testbeds.
 """
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -159,16 +158,6 @@ def obeying(rule: Any) -> Callable:
                 inputs["mode"] = mode
 
     return decide
-
-
-@contextmanager
-def named_condition(condition: str) -> Iterator[None]:
-    """Name the condition in errors of the user's rule, policy or testbed."""
-    try:
-        yield
-    except Exception as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise ValueError(f"condition {condition!r}: {reason}") from error
 
 
 def check_rules(rules: Any, known: Mapping, made: str) -> None:

@@ -417,7 +417,7 @@ class TeamLoop(Loop):
             if decision > 0:
                 drawn = self._performance == "random"
                 performance = self._drawn[decision - 1] if drawn else self._rated(state)
-                asked("the trust model", t, self._judge, performance)
+                asked(f"the trust model, at t = {t:g} s", self._judge, performance)
             self._levels.append(self.trust)
         number = sum([graph.since <= t + SLACK for graph in self._graphs]) - 1
         self._graph = self._graphs[number]
@@ -430,8 +430,7 @@ class TeamLoop(Loop):
         """
         run, leader = self.simulation, self._now.leader
         packets = state.arrives[0, run.done - run.every : run.done]
-        received = np.count_nonzero(packets) / packets.size
-        rated = state.rated.copy()
+        received, rated = packets.mean(), state.rated.copy()
         rated[leader] = received * (1.0 if np.isnan(rated[leader]) else rated[leader])
         return np.where(self._graph.present, rated, np.nan)
 
@@ -459,7 +458,8 @@ class TeamLoop(Loop):
             self._named = None
         pick = self._named
         if pick is None:
-            pick = asked(f"the leader policy {self._policy.title!r}", t, self._picked, now)
+            where = f"the leader policy {self._policy.title!r}, at t = {t:g} s"
+            pick = asked(where, self._picked, now)
         if pick != now.leader:
             if not now.free:
                 self._waits += 1

@@ -99,7 +99,9 @@ class TrustCourse:
         self.share = driver.start
         self._model = driver.model
         self._samples = max(round(driver.every / sample_time), 1)
-        self._belief = asked("the trust model", 0.0, driver.model.start, np.array([driver.start]))
+        self._belief = asked(
+            "the trust model, at t = 0 s", driver.model.start, np.array([driver.start])
+        )
         self._trial: list[float] = []
 
     def step(self, performance: float) -> float:

@@ -16,7 +16,6 @@ from trustlab.models.simulation import (
     DivergenceError as DivergenceError,
     PartError as PartError,
     View,
-    asked,
 )
 
 # What a user's function decides, in the order in which they are asked. Where the vehicle went and
@@ -31,8 +30,6 @@ HOOKS = {
 }
 FOLLOWING = ("vehicle", "trust")
 
-VECTORS = ("robot", "velocity", "u_a", "wanted", "guiding")
-
 
 def asking(
     hooks: Mapping[str, Callable],
@@ -46,7 +43,7 @@ def asking(
     Return the `decide` of a `Simulation` that asks these functions in turn.
 
     records: those that `view` reads; later functions see there what earlier ones decided. given:
-    what may come from outside, where it prevails, and is seen, too. bounds: of scales and trust.
+    what may come from outside, which is seen, too, and not asked for. bounds: of scales and trust.
     follows_error: whether the guiding force follows the error of the moment, not the picture.
     A controller that has lost its target is not asked: it hovers.
     """
@@ -61,16 +58,21 @@ def asking(
 
     def decide(_: Any, inputs: np.ndarray) -> None:
         for part, names in parts.items():
-            rests = part in FOLLOWING and view.t == 0.0
-            # what is given, or was decided before an interruption, is not asked for
-            needed = [name for name in names if math.isnan(inputs[name].item(0))]
-            asks = needed and part in hooks
-            if asks and not (rests or (part == "autonomy" and not view.finds)):
-                part, function = f"the {part} of this loop", hooks[part]
-                decided = asked(part, view.t, checked, names, function, view, bounds)
-                for name in needed:
-                    inputs[name] = decided[name]
+            # given, or decided before an interruption
             known = [name for name in names if not math.isnan(inputs[name].item(0))]
+            rests = part in FOLLOWING and view.t == 0.0
+            rests = rests or (part == "autonomy" and not view.finds)
+            if part in hooks and len(known) < len(names) and not rests:
+                try:
+                    decided = checked(names, hooks[part](view), bounds)
+                except Exception as error:
+                    raise PartError(
+                        f"the {part} of this loop, at t = {view.t:g} s: "
+                        f"{type(error).__name__}: {error}"
+                    ) from error
+                for name in {*names}.difference(known):
+                    inputs[name] = decided[name]
+                known = [*names]
             for name in known:
                 fields[name][:] = inputs[name]
             if "robot" in known:
@@ -83,31 +85,30 @@ def asking(
 
 
 def checked(
-    names: tuple[str, ...], function: Callable, view: View, bounds: Mapping[str, tuple]
+    names: tuple[str, ...], returned: Any, bounds: Mapping[str, tuple[float, float]]
 ) -> dict[str, Any]:
     """
-    Return what a function decides, by name: three finite numbers for a vector, others within their
-    bounds.
+    Return what a function decided, by name: within its bounds, or three finite numbers.
     """
-    returned = function(view)
     try:
-        decided = dict(zip(names, returned if len(names) > 1 else [returned], strict=True))
+        decided = dict(zip(names, returned if len(names) > 1 else (returned,), strict=True))
     except (TypeError, ValueError):
         wanted = f"{' and '.join(names)} are wanted"
         raise ValueError(f"returned {shown(returned)}; {wanted}") from None
     for name, value in decided.items():
         try:
-            if name in VECTORS:
-                wanted = "three finite numbers are wanted, for x, y and z"
+            if name in bounds:
+                low, high = bounds[name]
+                valid = low <= value <= high
+            else:
                 decided[name] = vector = np.asarray(value, float)
                 valid = vector.shape == (3,) and np.isfinite(vector).all()
-            else:
-                low, high = bounds[name]
-                wanted = f"it must lie in [{low:g}, {high:g}], as the loop's settings have it"
-                valid = low <= value <= high
         except (TypeError, ValueError):
             valid = False
         if not valid:
+            wanted = "three finite numbers are wanted, for x, y and z"
+            if name in bounds:
+                wanted = f"it must lie in [{low:g}, {high:g}], as the loop's settings have it"
             raise ValueError(f"returned {name} = {shown(value)}; {wanted}")
     return decided
 

@@ -131,14 +131,15 @@ class Scattering(Checked):
     @property
     def at_operator(self) -> End:
         """Coefficients of the wave equations at the operator's end."""
-        b, low, high = self.b, self.beta_min, self.beta_max
-        return End(b, math.sqrt(2.0 * b / high), math.sqrt(2.0 * b * low), math.sqrt(low / high))
+        return self._end(self.beta_min, self.beta_max, 2.0 * self.b * self.beta_min)
 
     @property
     def at_robot(self) -> End:
         """Coefficients of the wave equations at the robot's end."""
-        b, low, high = self.b, self.alpha_min, self.alpha_max
-        return End(b, math.sqrt(2.0 * b / high), math.sqrt(2.0 * low / b), math.sqrt(low / high))
+        return self._end(self.alpha_min, self.alpha_max, 2.0 * self.alpha_min / self.b)
+
+    def _end(self, low: float, high: float, sent: float) -> End:
+        return End(self.b, *map(math.sqrt, (2.0 * self.b / high, sent, low / high)))
 
     def dominance(self) -> dict[str, float]:
         """
