@@ -84,7 +84,8 @@ def simulate_team(
     ValueError
         If an argument is not understood, before anything runs.
     PartError
-        If a policy raises an error or picks who cannot lead: policy and time are named.
+        If a policy or a trust model fails, or a policy picks who cannot lead: which and when are
+        named.
     DivergenceError
         If the run grows without bound; time and block are named.
 

@@ -18,8 +18,9 @@ class TrustInLoop(Checked):
     A model of trust in place of (3.2) in `TeleoperationLoop(trust=…)`, or of (4.1) in a team.
 
     Models are fitted to trials. In a loop a trial lasts `every` seconds, and its performance is the
-    mean of the robot's over it; trust stays the same in between. No one rates: trust is the
-    expected one. In a team every robot has a course of its own.
+    mean of the robot's over it; trust stays the same in between. However long it lasts, it counts
+    as one (`Event.dt` is 1). No one rates: trust is the mean one. In a team every robot has a
+    course of its own.
 
     Parameters
     ----------
