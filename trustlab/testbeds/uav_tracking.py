@@ -280,7 +280,7 @@ class TeleoperationLoop(Loop):
         self.scheme, self.settings = scheme_named(scheme), study_named(study)
         places = {where: Guidance(where) for where in GUIDANCE}
         self.seed, self.guidance = seed, named("guidance", guidance, Guidance, places)
-        self.remedy = "lower k_ffa, the hand's gains or the sample time, or see guard and vehicle"
+        self.remedy = "lower k_ffa, the hand's gains or the sample time; check guard and vehicle"
         study = self.settings.study
         if operator is None:
             operator = Teleoperator(reach=REACH[study])
