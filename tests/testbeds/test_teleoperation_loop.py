@@ -166,14 +166,6 @@ def test_a_step_that_is_refused_leaves_nothing_behind():
     assert loop.run() == same.run()
 
 
-def test_trust_beyond_its_range_is_refused():
-    ratings = {"trust_hr": np.full(500, 62.0)}
-    with pytest.raises(ValueError, match=r"trust_hr must lie in \[0, 1\]"):
-        tl.simulate_teleoperation("TMIG", signals=ratings, duration=5.0)
-    with pytest.raises(PartError, match=r"trust_rh = -5; it must lie in \[0, 1\]"):
-        tl.simulate_teleoperation("TMIG", trust=lambda state: (0.5, -5), duration=5.0)
-
-
 def test_feedback_autonomy_and_trust_are_exchanged():
     short = {"seed": 1, "duration": SHORT}
     spring = Guidance(force=lambda state: -6.0 * state.stretch)
@@ -300,6 +292,7 @@ def failing(state):
         ),
         ({"operator": partial(failing)}, "operator .* s: RuntimeError: the hand slipped"),
         (flying(lambda s: (np.nan * s.robot, s.velocity)), "vehicle .* returned robot = .*nan"),
+        ({"trust": lambda s: (0.5, -5)}, r"trust_rh = -5; it must lie in \[0, 1\]"),
         ({"trust": lambda s: 0.5}, "trust .* returned 0.5; trust_hr and trust_rh are wanted"),
         (
             flying(lambda s: [s.robot]),
