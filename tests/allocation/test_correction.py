@@ -163,14 +163,14 @@ def test_an_incentive_that_fails_on_the_way_holds_the_thresholds():
     ("incentive", "says"),
     [
         (0.5, "must be a function"),
-        (lambda r, p_r: (0.0, 0.0), "raises TypeError"),
-        (lambda r, p_r, c_b, low, high: (-c_b, c_b) if r < 0.8 else 1 / 0, "raises ZeroDivision"),
-        (lambda r, p_r, c_b, low, high: None, "raises TypeError"),
-        (lambda r, p_r, c_b, low, high: (str(-c_b), str(c_b)), "raises TypeError"),
-        (lambda r, p_r, c_b, low, high: np.array([[-c_b], [c_b]]), "raises TypeError"),
-        (lambda r, p_r, c_b, low, high: (-c_b, 2.0 * c_b), r"in \[−c_b, 0\] and \[0, c_b\]"),
-        (lambda r, p_r, c_b, low, high: (c_b, -c_b), "returns 1e-05 and -1e-05"),
-        (lambda r, p_r, c_b, low, high: (np.nan, c_b), "returns nan"),
+        (lambda r, p_r: (0.0, 0.0), "TypeError"),
+        (lambda r, p_r, c_b, low, high: (-c_b, c_b) if r < 0.8 else 1 / 0, "ZeroDivision"),
+        (lambda r, p_r, c_b, low, high: None, "TypeError"),
+        (lambda r, p_r, c_b, low, high: (str(-c_b), str(c_b)), "TypeError"),
+        (lambda r, p_r, c_b, low, high: np.array([[-c_b], [c_b]]), "TypeError"),
+        (lambda r, p_r, c_b, low, high: (-c_b, 2.0 * c_b), r"in \[0, c_b\]"),
+        (lambda r, p_r, c_b, low, high: (c_b, -c_b), "returned 1e-05 and -1e-05"),
+        (lambda r, p_r, c_b, low, high: (np.nan, c_b), "returned nan"),
     ],
 )
 def test_what_is_no_incentive_is_refused_before_any_loop(incentive, says):

@@ -194,6 +194,9 @@ def test_schemes_of_ones_own_allocate_and_lead(tmp_path):
     assert live.verified
     with pytest.raises(ValueError, match="holds another run"):
         tl.LiveTeam("by_hand", settings, log=tmp_path / "b.jsonl")
+    lost = type("Lost", (InTurn,), {"leader": lambda self, now: 7})()
+    with pytest.raises(ValueError, match=r"leader policy 'in turn', at t = 0 s: .* got 7"):
+        tl.LiveTeam(lost, settings, log=tmp_path / "c.jsonl")
 
 
 # in Chromium

@@ -12,7 +12,7 @@ import trustlab as tl
 from trustlab.allocation.limits import threshold_limits
 from trustlab.campaign import CampaignError, CampaignWarning
 from trustlab.operators.ground_robot import person_of
-from trustlab.testbeds import GroundRobot, OperatorPopulation, UavTracking
+from trustlab.testbeds import GroundRobot, OperatorPopulation, Testbed, UavTracking
 from trustlab.testbeds.populations import COORDINATES, person_at
 
 PUBLISHED = OperatorPopulation.ground_robot()
@@ -203,13 +203,29 @@ def test_a_participant_who_fails_is_listed_and_left_out(monkeypatch):
         return whole(self, condition, person, seed)
 
     monkeypatch.setattr(GroundRobot, "run", failing)
-    with pytest.warns(CampaignWarning, match="joystick came off"):
+    with pytest.warns(CampaignWarning, match="condition 'C4': ValueError: the joystick came off"):
         study = tl.virtual_study(**QUICK)
     assert study.failures["participant"].tolist() == [2]
     assert "joystick" in study.failures["error"].item()
     assert set(study.measures["participant"]) == {1, 3, 4}
     assert study.analysis("p_r").n == 3
     assert "left out: 1 participant." in study.message
+
+
+class Coin(Testbed):
+    """A testbed of one's own, whose people are numbered from 10."""
+
+    name = title = "coin"
+    conditions = ("heads", "tails")
+    printed_n = 4
+
+    def people(self, n, assumptions=None, seed=0):
+        return pd.DataFrame({"participant": range(10, 10 + n)})
+
+
+def test_people_of_a_testbed_are_numbered_from_one():
+    with pytest.raises(ValueError, match="people of coin must be numbered from 1 to 4 in a column"):
+        tl.virtual_study(4, Coin.conditions, testbed=Coin())
 
 
 @pytest.mark.filterwarnings("ignore:nobody")
@@ -282,6 +298,8 @@ def test_an_unknown_condition_or_assumption_is_named():
         ([], "conditions must have at least 2 labels, got 0"),
         (["C1", ("C2", None)], "'C2' must be a name of its own"),
         (["C1", ("in turns",)], r"a rule is a pair \(name, rule\), got \('in turns',\)"),
+        (["C1", (3, dict)], "rules: 3 must be a name of its own"),
+        (["C1", "a/b"], "must be names without /, got .*'a/b'"),
     ],
 )
 def test_conditions_that_are_none_are_refused(conditions, message):

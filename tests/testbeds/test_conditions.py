@@ -1,6 +1,7 @@
 """Conditions of the ground robot and of UAV following, and their participants."""
 
 from dataclasses import replace
+from threading import Lock
 from types import SimpleNamespace
 
 import numpy as np
@@ -142,6 +143,11 @@ class Late:
         raise RuntimeError("out of data")
 
 
+class Locked(Late):
+    def __init__(self):
+        self.lock = Lock()
+
+
 class Hungry:
     def step(self, tsc, p_r, r):
         return None
@@ -153,6 +159,7 @@ class Hungry:
         (Late(), {}, "rule.step failed at t = 100.0 s, with TSC = .*RuntimeError: out of data"),
         (Hungry(), {}, r"rule.step failed at t = 100.0 s.* missing 1 required .* 'r'"),
         (3, {}, "rule must have a method step"),
+        (Locked(), {}, "rule must be one that copy.deepcopy can copy.*cannot pickle"),
         (Late(), {"condition": "C3"}, "no effect beside rule="),
     ],
 )

@@ -65,6 +65,8 @@ REFUSED = [
         lambda: fly(scheme="MI", signals={"arrives": np.ones((500, 2))}),
         "arrives would do nothing in scheme MI: no force comes back",
     ),
+    (lambda: fly(signals={"trust_hr": np.full(500, 62.0)}), r"trust_hr must lie in \[0, 1\]"),
+    (lambda: fly(trust=tl.trust.MODELS["beta"]), "trust must be a function, got <class"),
     (lambda: replace(STUDIES["main"], mass=1.0, weight=60.0), "not r-passive"),
     (
         lambda: simulate_team({0.0: PATH, 5.0: nx.empty_graph(3)}, duration=10.0),

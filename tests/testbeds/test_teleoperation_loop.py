@@ -10,7 +10,15 @@ import pytest
 
 import trustlab as tl
 from tests.loops import T, assert_device_balances, columns, power
-from trustlab.teleoperation import SCHEMES, STUDIES, Guidance, PartError, TeamOperator
+from trustlab.teleoperation import (
+    SCHEMES,
+    STUDIES,
+    Guidance,
+    PartError,
+    TeamOperator,
+    TeamRobot,
+    TeamSettings,
+)
 from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.testbeds import plot_energies
 
@@ -28,6 +36,13 @@ def logistic(low, high, trust):
 def tmig(state):
     alpha = logistic(state.alpha_min, state.alpha_max, state.trust_hr)
     return alpha, logistic(state.beta_min, state.beta_max, state.trust_rh)
+
+
+@partial(tl.Scheme, "remembering")
+def remembering(state):
+    """Shares that keep something by names that a vehicle might choose, too."""
+    state.memory.update(x=state.robot + 9.0, start=state.robot + 9.0)
+    return 0.5, 0.3
 
 
 def lag(state):
@@ -151,14 +166,6 @@ def test_a_step_that_is_refused_leaves_nothing_behind():
     assert loop.run() == same.run()
 
 
-def test_trust_beyond_its_range_is_refused():
-    ratings = {"trust_hr": np.full(500, 62.0)}
-    with pytest.raises(ValueError, match=r"trust_hr must lie in \[0, 1\]"):
-        tl.simulate_teleoperation("TMIG", signals=ratings, duration=5.0)
-    with pytest.raises(PartError, match=r"trust_rh = -5; it must lie in \[0, 1\]"):
-        tl.simulate_teleoperation("TMIG", trust=lambda state: (0.5, -5), duration=5.0)
-
-
 def test_feedback_autonomy_and_trust_are_exchanged():
     short = {"seed": 1, "duration": SHORT}
     spring = Guidance(force=lambda state: -6.0 * state.stretch)
@@ -177,7 +184,7 @@ def test_a_vehicle_as_matrices_is_the_same_as_a_function():
     step = [[1.0, 0.98 * T], [0.0, 0.98]], [[0.02 * T], [0.02]], np.eye(2)
     matrices = tuple(np.kron(part, np.eye(3)) for part in step)
     runs = [
-        tl.simulate_teleoperation("TMIG", seed=4, duration=SHORT, **flying(vehicle)).data
+        tl.simulate_teleoperation(remembering, seed=4, duration=SHORT, **flying(vehicle)).data
         for vehicle in (matrices, lag)
     ]
     np.testing.assert_allclose(*runs, atol=1e-10)
@@ -281,10 +288,18 @@ def failing(state):
         ),
         (
             {"scheme": tl.Scheme("s", lambda s: (s.robot_x, 0.3))},
-            "raised AttributeError: the state has no 'robot_x'",
+            "AttributeError: the state has no 'robot_x'",
         ),
-        ({"operator": partial(failing)}, "operator .* raised RuntimeError: the hand slipped"),
+        ({"operator": partial(failing)}, "operator .* s: RuntimeError: the hand slipped"),
         (flying(lambda s: (np.nan * s.robot, s.velocity)), "vehicle .* returned robot = .*nan"),
+        ({"trust": lambda s: (0.5, -5)}, r"trust_rh = -5; it must lie in \[0, 1\]"),
+        ({"trust": lambda s: 0.5}, "trust .* returned 0.5; trust_hr and trust_rh are wanted"),
+        (
+            flying(lambda s: [s.robot]),
+            r"vehicle .* returned \[array.*; robot and velocity are wanted",
+        ),
+        ({"scheme": tl.Scheme("s", lambda s: ("a", 0.3))}, r"alpha = 'a'; it must lie in"),
+        ({"operator": lambda s: "ab"}, "operator .* returned wanted = 'ab'; three finite numbers"),
     ],
 )
 def test_a_part_that_fails_is_named_with_its_time_and_the_run_so_far_is_kept(parts, words):
@@ -302,11 +317,53 @@ def test_a_part_that_fails_is_named_with_its_time_and_the_run_so_far_is_kept(par
         loop.step()
 
 
+class Interrupted:
+    """A scheme or a policy during which somebody presses Ctrl-C, in its 30th call."""
+
+    title = "interrupted"
+
+    def __init__(self, calls):
+        self.calls = calls
+
+    def __call__(self, state):
+        self.calls += 1
+        if self.calls == 30:
+            raise KeyboardInterrupt
+        return 0.5, 0.3
+
+    def leader(self, now):
+        return int(self(now)[0] > now.trust[0])
+
+
+BETA = tl.trust.TrustInLoop(tl.trust.MODELS["beta"](), every=0.1)
+LOSSY = TeamSettings(robots=TeamRobot(loss=0.5))
+DRIVEN = {"duration": SHORT, "trust": BETA}
+MATRICES = np.eye(3), T * np.eye(3), np.vstack([np.eye(3), np.eye(3)])
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda who: tl.TeleoperationLoop(tl.Scheme("s", who), **DRIVEN, **flying(MATRICES)),
+        lambda who: tl.TeamLoop(np.ones((3, 3)) - np.eye(3), who, settings=LOSSY, **DRIVEN),
+    ],
+)
+def test_a_loop_that_was_interrupted_goes_on_as_if_it_had_not_been(make):
+    whole, loop = make(Interrupted(30)).run(), make(Interrupted(0))
+    with pytest.raises(KeyboardInterrupt):
+        loop.run()
+    run = loop.run()
+    assert getattr(run, "session", run) == getattr(whole, "session", whole)
+
+
 def test_a_loop_ends_with_its_duration():
+    words = r"ends at t = 0\.3 s; make it with a longer duration"
     loop = tl.TeleoperationLoop("M", duration=0.3)
     loop.run()
-    with pytest.raises(ValueError, match=r"ends at t = 0\.3 s; make it with a longer duration"):
+    with pytest.raises(ValueError, match=words):
         loop.step()
+    with pytest.raises(ValueError, match=words):
+        tl.TeamLoop(np.ones((3, 3)) - np.eye(3), duration=0.3).step(samples=301)
     for until in (0.2, 0.4):
         with pytest.raises(ValueError, match=r"until must lie between t = 0\.3 s"):
             loop.run(until)

@@ -1,13 +1,14 @@
 """Models of trust that drive loops and teams: their course on the performance that was logged."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import networkx as nx
 import numpy as np
 import pytest
 
 import trustlab as tl
-from trustlab.teleoperation import TeamRobot, TeamSettings, TeamTrial
+from trustlab.teleoperation import PartError, TeamRobot, TeamSettings, TeamTrial
 from trustlab.trust.driving import TrustCourse
 from trustlab.trust.dynamics import MODELS
 
@@ -109,3 +110,21 @@ def test_a_model_of_ones_own_drives_loops_and_teams():
     team = tl.simulate_team(CHAIN, trust=Half(), duration=3.0, seed=0)
     assert team.facts["trust"] == "Half"
     assert np.ptp(team.trust, axis=0).max() > 0.01
+
+
+@pytest.mark.parametrize("run", [tl.simulate_teleoperation, partial(tl.simulate_team, CHAIN)])
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ({"start": lambda self, rating: 1 / 0}, "0 s: ZeroDivisionError: division by zero"),
+        ({"transition": lambda self, event: 1 / 0}, "1 s: ZeroDivisionError: division by zero"),
+        ({"transition": lambda self, event: (np.nan, 0.0)}, "must be finite, got nan"),
+        (  # of two people
+            {"rating": lambda *_: tl.trust.BetaRating(np.ones(2), np.ones(2))},
+            "must be a number, got array",
+        ),
+    ],
+)
+def test_a_model_that_fails_is_named_with_the_time(run, fault, words):
+    with pytest.raises(PartError, match=f"the trust .*, at t = .*{words}"):
+        run(trust=type("Faulty", (Half,), fault)(), duration=3.0)

@@ -402,17 +402,14 @@ class ThresholdCorrector:
                 low, high = incentive(r, 0.5 * sum(self._range), self.c_b, *self._range)
                 accepted = sound.py_func(low, high, self.c_b)
                 low, high = float(low), float(high)
+                if not accepted:
+                    raise ValueError(f"it returned {low:g} and {high:g}")
             except Exception as error:
                 raise ValueError(
                     "incentive must be a function of r, p_r, c_b, p_min and p_max that returns the "
-                    f"least and the greatest correction, but at r = {r} it raises "
-                    f"{type(error).__name__}: {error}"
+                    "least correction, in [−c_b, 0], and the greatest, in [0, c_b], but at r = "
+                    f"{r}, c_b = {self.c_b:g}: {type(error).__name__}: {error}"
                 ) from error
-            if not accepted:
-                raise ValueError(
-                    f"incentive must return numbers in [−c_b, 0] and [0, c_b], c_b = "
-                    f"{self.c_b:g}, but at r = {r} returns {low:g} and {high:g}"
-                )
         options = {"extra_cost": extra_cost, "switch_width": switch_width, "limit": limit}
         given: Any = {name: value for name, value in options.items() if value is not None}
         self.program: Any = None

@@ -14,6 +14,7 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.compiled import njit
+from trustlab.models.simulation import asked
 from trustlab.models.tsc import threshold_mode
 
 # How far below P_max, as a share of P_max − P_min, performance still counts as P_max in Algorithm
@@ -172,7 +173,7 @@ def prepared_rule(rule: object, mode: int | None) -> tuple[Any, int]:
             "None (keep the mode), as objects of ThresholdRule and PerformanceRule have; got "
             f"{shown(rule)}"
         )
-    rule = deepcopy(rule)
+    rule = asked("rule must be one that copy.deepcopy can copy", deepcopy, rule)
     own = whole_number("rule.mode", getattr(rule, "mode", 1), least=0, most=1)
     mode = own if mode is None else whole_number("mode", mode, least=0, most=1)
     if mode != own and hasattr(rule, "mode"):
@@ -185,11 +186,7 @@ def decision(rule: Any, where: str, tsc: float, p_r: float) -> int | None:
     Ask a rule for the mode, 1, 0 or None for the one that is on; `where` is the sample, for errors.
     """
     here = f"at {where}, with TSC = {tsc:.6g} and P_r = {p_r:.6g}"
-    try:
-        mode = rule.step(tsc=tsc, p_r=p_r)
-    except Exception as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise ValueError(f"rule.step failed {here}: {reason}") from error
+    mode = asked(f"rule.step failed {here}", rule.step, tsc=tsc, p_r=p_r)
     if mode is None:
         return None
     if isinstance(mode, bool | np.bool_):

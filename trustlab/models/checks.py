@@ -165,8 +165,8 @@ def flag(name: str, value: Any) -> bool:
 
 
 def function(name: str, value: Any) -> Callable:
-    """Return a function."""
-    if not callable(value):
+    """Return a function, or an object that can be called; a class makes objects only."""
+    if not callable(value) or isinstance(value, type):
         raise ValueError(f"{name} must be a function, got {shown(value)}")
     return value
 

@@ -38,6 +38,14 @@ class PartError(ValueError):
     session: Any = None
 
 
+def asked(where: str, function: Callable, *arguments: Any, **more: Any) -> Any:
+    """Return what a function of the user's returns; an error says where it was called."""
+    try:
+        return function(*arguments, **more)
+    except Exception as error:
+        raise PartError(f"{where}: {type(error).__name__}: {error}") from error
+
+
 class View:
     """
     Records by name: numbers as Python's, vectors as arrays over the same memory. Nothing can be
@@ -129,7 +137,7 @@ class Simulation:
         Samples from one decision to the next.
     blocks : sequence of str
         Names of the blocks that may diverge, by their number.
-    sample_time : float, optional
+    sample_time : float
         T [s], for the message of a divergence.
 
     Attributes
@@ -171,7 +179,7 @@ class Simulation:
     decide: Callable | None = None
     every: int = 1
     blocks: tuple[str, ...] = ()
-    sample_time: float | None = None
+    sample_time: float = 1.0
     done: int = 0
     ended: bool = False
 
@@ -205,11 +213,9 @@ class Simulation:
             records = self.setup, self.state, self.inputs, self.log
             self.done, block = self._compiled(self.done, until, *records)
             if block >= 0:
-                seconds = (
-                    "" if self.sample_time is None else f" ({self.done * self.sample_time:g} s)"
-                )
+                seconds = self.done * self.sample_time
                 raise DivergenceError(
-                    f"{self.blocks[block]} diverged at sample {self.done}{seconds}"
+                    f"{self.blocks[block]} diverged at sample {self.done} ({seconds:g} s)"
                 )
             self.ended = block == END
 
@@ -285,7 +291,10 @@ class Loop:
         run = self.simulation
         stop = run.done + samples
         if stop > self.count:
-            raise ValueError(f"the loop ends at t = {self.t:g} s; make it with a longer duration")
+            raise ValueError(
+                f"the loop ends at t = {self.count * run.sample_time:g} s; make it with a longer "
+                "duration"
+            )
         if hand is not None:
             place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)
             given["hand"] = place

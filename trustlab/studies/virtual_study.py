@@ -18,6 +18,7 @@ from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import counted, of_class, one_of, shown, warn, whole_number
 from trustlab.models.display import Result, axes_or_new
 from trustlab.models.files import path_of, writing
+from trustlab.models.simulation import asked
 from trustlab.sessions.writing import write_session
 from trustlab.studies.designs import LatinSquareDesign, latin_square_design, participants_needed
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
@@ -308,8 +309,12 @@ def virtual_study(
     if design is None:
         design = latin_square_design(names, n, seed=seed, whole_squares=False)
     people = bed.people(n, assumptions, seed)
+    if [*people.get("participant", ())] != [*range(1, n + 1)]:
+        raise ValueError(
+            f"people of {bed.title} must be numbered from 1 to {n} in a column participant"
+        )
     for name in bed.rules if bed.takes_rules else ():  # a rule is refused before anybody runs
-        bed.rule_of(name, people.iloc[0].to_dict())
+        asked(f"condition {name!r}", bed.rule_of, name, people.iloc[0].to_dict())
     folder = None
     if out is not None:
         folder = path_of("out", out)
@@ -373,8 +378,8 @@ def _fitting(testbed: Any, conditions: Any, laps: int | None) -> tuple[Any, tupl
             rules[condition[0]] = condition[1]
             condition = condition[0]
         names.append(condition)
-    if any("/" in str(name) for name in rules):  # it becomes part of file names
-        raise ValueError(f"conditions: the name of a rule must be text without /, got {[*rules]}")
+    if any("/" in str(name) for name in names):  # it becomes part of file names
+        raise ValueError(f"conditions must be names without /, got {names}")
     if rules:
         if not getattr(bed, "takes_rules", False):
             raise ValueError(f"on {bed.title} no rule decides; conditions are names alone")
@@ -448,7 +453,8 @@ def run_participant(
     person: Mapping[str, Any] = numbers | {"participant": participant}
     measures = {}
     for position, condition in enumerate(conditions, start=1):
-        run = testbed.run(condition, person, streams[condition])
+        stream = streams[condition]
+        run = asked(f"condition {condition!r}", testbed.run, condition, person, stream)
         if folder is not None:
             session = run.session.with_metadata(trial=position, testbed=testbed.name)
             write_session(session, session_file(folder, participant, position, condition))

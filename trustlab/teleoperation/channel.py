@@ -8,7 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import finite_numbers, of_class, one_of, positive, shown
+from trustlab.models.checks import (
+    array_between,
+    finite_numbers,
+    of_class,
+    one_of,
+    positive,
+    shown,
+)
 from trustlab.models.compiled import njit
 from trustlab.models.records import signals
 from trustlab.teleoperation.delays import delays_in_samples
@@ -18,9 +25,11 @@ from trustlab.teleoperation.ports.waves import (
     READ_OUTS,
     Scattering,
     accounts,
-    check_scale,
     read_waves,
 )
+
+# By how much, as a share, scales may lie beyond their bounds, for rounding.
+SLACK = 1e-12
 
 
 class ChannelRun(NamedTuple):
@@ -172,8 +181,11 @@ def channel_run(
     alphas = _scale("alpha", alpha, np.array([end.alpha_max for end in ends])[far])
     betas = _scale("beta", beta, np.array([end.beta_max for end in ends])[near])
     if leaders is None:
-        check_scale("alpha", alphas, ends[0])
-        check_scale("beta", betas, ends[0])
+        end, low, high = ends[0], 1.0 - SLACK, 1.0 + SLACK
+        alpha_ends = low * end.alpha_min, high * end.alpha_max
+        beta_ends = low * end.beta_min, high * end.beta_max
+        array_between("alpha", alphas, *alpha_ends, "alpha_min, alpha_max")
+        array_between("beta", betas, *beta_ends, "beta_min, beta_max")
     rate = max(end.max_delay_rate for end in ends)
     delays = {"delay_1": delay_1, "delay_2": delay_2}
     f_m, r_s, u_l, v_l, u_r, v_r = np.zeros((6, *r_m.shape))

@@ -15,6 +15,7 @@ from trustlab.models.checks import (
     positive,
     whole_seed,
 )
+from trustlab.models.simulation import asked
 
 SLACK = 1e-9
 
@@ -68,10 +69,10 @@ class Delay:
             raise ValueError(
                 f"{self.title} is known until {self.end:g} s, and the run lasts until {t[-1]:g} s"
             )
-        try:
-            values = np.full(count, self.function(t), dtype=float)
-        except Exception as error:
-            raise ValueError(f"{self.title} gives no {count} delays: {error}") from error
+        values = asked(
+            f"{self.title} gives no {count} delays",
+            lambda: np.full(count, self.function(t), float),
+        )
         length = count * sample_time
         least = sample_time * (1.0 - SLACK)
         growth = np.diff(np.nan_to_num(values), append=values[-1]) / sample_time

@@ -165,7 +165,7 @@ def check_rules(rules: Any, known: Mapping, made: str) -> None:
     if not isinstance(rules, Mapping):
         raise ValueError(f"rules must map names to what makes {made}; got {shown(rules)}")
     for name, make in rules.items():
-        if name in known or not callable(make):
+        if not isinstance(name, str) or name in known or not callable(make):
             raise ValueError(
                 f"rules: {name!r} must be a name of its own, for what makes {made}, so that no run "
                 f"begins in the state of another; got {shown(make)}"

@@ -22,7 +22,7 @@ from trustlab.models.checks import (
     whole_number,
 )
 from trustlab.models.records import coloured
-from trustlab.models.simulation import Loop, PartError, Simulation, View, filled
+from trustlab.models.simulation import Loop, Simulation, View, asked, filled
 from trustlab.models.trust import trust_step
 from trustlab.teleoperation.delays import both_ways, delays_in_samples
 from trustlab.teleoperation.filters import corrected_filter
@@ -84,7 +84,8 @@ def simulate_team(
     ValueError
         If an argument is not understood, before anything runs.
     PartError
-        If a policy raises an error or picks who cannot lead: policy and time are named.
+        If a policy or a trust model fails, or a policy picks who cannot lead: which and when are
+        named.
     DivergenceError
         If the run grows without bound; time and block are named.
 
@@ -413,10 +414,12 @@ class TeamLoop(Loop):
         run = self.simulation
         decision = run.done // run.every
         t = decision * self._step
-        if decision > 0:
-            drawn = self._performance == "random"
-            self._judge(self._drawn[decision - 1] if drawn else self._rated(state))
-        self._levels.append(self.trust)
+        if decision == len(self._levels):  # else done before an interruption
+            if decision > 0:
+                drawn = self._performance == "random"
+                performance = self._drawn[decision - 1] if drawn else self._rated(state)
+                asked(f"the trust model, at t = {t:g} s", self._judge, performance)
+            self._levels.append(self.trust)
         number = sum([graph.since <= t + SLACK for graph in self._graphs]) - 1
         self._graph = self._graphs[number]
         inputs["graph"], inputs["lead"] = number, self._choose(t)
@@ -428,8 +431,7 @@ class TeamLoop(Loop):
         """
         run, leader = self.simulation, self._now.leader
         packets = state.arrives[0, run.done - run.every : run.done]
-        received = np.count_nonzero(packets) / packets.size
-        rated = state.rated.copy()
+        received, rated = packets.mean(), state.rated.copy()
         rated[leader] = received * (1.0 if np.isnan(rated[leader]) else rated[leader])
         return np.where(self._graph.present, rated, np.nan)
 
@@ -455,7 +457,10 @@ class TeamLoop(Loop):
         self._now = now = replace(self._now, t=t, present=graph.present, may_lead=able, trust=trust)
         if self._named is not None and not able[self._named]:
             self._named = None
-        pick = self._asked(now) if self._named is None else self._named
+        pick = self._named
+        if pick is None:
+            where = f"the leader policy {self._policy.title!r}, at t = {t:g} s"
+            pick = asked(where, self._picked, now)
         if pick != now.leader:
             if not now.free:
                 self._waits += 1
@@ -463,20 +468,14 @@ class TeamLoop(Loop):
             now.leader, now.since = pick, t
         return pick
 
-    def _asked(self, now: TeamSituation) -> int:
+    def _picked(self, now: TeamSituation) -> int:
         """Return whom the policy picks, who can lead."""
-        try:
-            pick = self._policy.leader(now)
-            pick = whole_number("the number of a robot", pick, 0, len(self.robots) - 1)
-            if not now.may_lead[pick]:
-                why = "not all others see, directly or through others, so that it cannot lead them"
-                why = why if now.present[pick] else "is not in the team then"
-                raise ValueError(f"robot {self.robots[pick]!r}, {why}; who can: {self._able()}")
-        except Exception as error:
-            raise PartError(
-                f"the leader policy {self._policy.title!r}, at t = {now.t:g} s: "
-                f"{type(error).__name__}: {error}"
-            ) from error
+        pick = self._policy.leader(now)
+        pick = whole_number("the number of a robot", pick, 0, len(self.robots) - 1)
+        if not now.may_lead[pick]:
+            why = "not all others see, directly or through others, so that it cannot lead them"
+            why = why if now.present[pick] else "is not in the team then"
+            raise ValueError(f"robot {self.robots[pick]!r}, {why}; who can: {self._able()}")
         return pick
 
     # --- the run ----------------------------------------------------------------------------------

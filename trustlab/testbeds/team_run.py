@@ -19,7 +19,10 @@ ENERGIES = {
 }
 # Columns of a session by the name that the run has for them.
 LEADER = ["leader_x", "leader_y", "leader_z"]
-RENAMED = dict(zip(LEADER, ("robot_x", "robot_y", "robot_z"), strict=True)) | {
+RENAMED = {
+    "leader_x": "robot_x",
+    "leader_y": "robot_y",
+    "leader_z": "robot_z",
     "supply_hand": "energy_operator",
     "v_hd": "energy_device",
     "lost_device": "energy_dissipated",

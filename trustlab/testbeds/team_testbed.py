@@ -37,6 +37,12 @@ SPREAD = 0.3
 HAND = ("push", "reach", "drag")
 
 
+def ring(count: int) -> np.ndarray:
+    """Return the graph of a team in which each robot sees its two neighbours."""
+    after = np.roll(np.eye(count), 1, axis=0)
+    return np.maximum(after, after.T)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RobotTeam(Checked):
     """
@@ -96,8 +102,7 @@ class RobotTeam(Checked):
         check_rules(self.rules, POLICIES, "a policy, as a class or lambda: MostTrusted(0.2)")
         graph = self.graph
         if graph is None:
-            after = np.roll(np.eye(len(robots)), 1, axis=0)
-            graph = np.maximum(after, after.T)
+            graph = ring(len(robots))
         settings = TeamSettings.scaled(graph, 40.0) if self.blocks is None else self.blocks
         blocks = replace(of_class("blocks", settings, TeamSettings), robots=robots)
         if settings.robots not in (TeamSettings.robots, robots):
@@ -151,12 +156,9 @@ class RobotTeam(Checked):
         Raises
         ------
         ValueError
-            If what makes the policy fails, or makes what is none.
+            If what was made is no policy; and what making it raises.
         """
-        try:
-            return policy_named(self.rules[condition]())
-        except Exception as error:
-            raise ValueError(f"condition {condition!r}: {error}") from error
+        return policy_named(self.rules[condition]())
 
     def run(self, condition: str, person: Mapping[str, Any], seed: Seed) -> TeamRun:
         """

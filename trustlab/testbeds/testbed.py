@@ -204,17 +204,12 @@ class ConditionTestbed(Checked, Testbed):
         Raises
         ------
         ValueError
-            If what makes the rule fails, or makes what is none.
+            If what was made is no rule; and what making it raises.
         """
         make = self.rules[condition]
-        try:
-            needed = [
-                p for p in inspect.signature(make).parameters.values() if p.default is p.empty
-            ]
-            rule = make(person_of(person)[1]) if needed else make()
-            prepared_rule(rule, None)
-        except Exception as error:
-            raise ValueError(f"condition {condition!r}: {error}") from error
+        needed = [p for p in inspect.signature(make).parameters.values() if p.default is p.empty]
+        rule = make(person_of(person)[1]) if needed else make()
+        prepared_rule(rule, None)
         return rule
 
     def conducted(

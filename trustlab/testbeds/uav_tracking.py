@@ -25,6 +25,7 @@ from trustlab.models.checks import (
     changes,
     finite_numbers,
     function,
+    named,
     of_class,
     one_of,
     refuse_changed,
@@ -62,7 +63,6 @@ from trustlab.teleoperation.loop.settings import (
     blending_cost,
     bounds_of,
     described,
-    guidance_named,
     optimal_share,
     scheme_named,
     state_of,
@@ -278,8 +278,9 @@ class TeleoperationLoop(Loop):
         signals: Mapping[str, Any] | None = None,
     ):
         self.scheme, self.settings = scheme_named(scheme), study_named(study)
-        self.seed, self.guidance = seed, guidance_named(guidance)
-        self.remedy = "lower k_ffa, the hand's gains or the sample time, or see which guard is off"
+        places = {where: Guidance(where) for where in GUIDANCE}
+        self.seed, self.guidance = seed, named("guidance", guidance, Guidance, places)
+        self.remedy = "lower k_ffa, the hand's gains or the sample time; check guard and vehicle"
         study = self.settings.study
         if operator is None:
             operator = Teleoperator(reach=REACH[study])
@@ -301,14 +302,14 @@ class TeleoperationLoop(Loop):
                     f"{name} would do nothing in scheme {self.scheme.name}: no force comes back"
                 )
         self._asked = ", ".join([*hooks, *(f"{name} as given" for name in given)])
-        phase, losses, noise, *ways = spawned(seed, 5)
-        delays = delays_of(self.settings, delay, count, ways)
+        seeds = spawned(seed, 5)
+        delays = delays_of(self.settings, delay, count, seeds[3:])
         numbers = self._constants(hooks)
         whole = state_of(self.settings, self.guidance, start)
         self.state = View(whole)
         if self.scheme.shares == "optimal":
             hooks["scheme"] = optimal(numbers, whole)
-        inputs = drawn(self.settings, self.task, self.operator, count + 1, (phase, losses, noise))
+        inputs = drawn(self.settings, self.task, self.operator, count + 1, seeds)
         arrives = np.ones((2, count), bool)
         for name, signal in given.items():
             if name == "arrives":
@@ -317,8 +318,8 @@ class TeleoperationLoop(Loop):
                 inputs[name][:-1] = signal
         # Inputs and delays have a row more than the log: padding, for a pause that nobody uses.
         follows_error = self.guidance.where == "through_channel"
-        told = self.state, whole, {"alpha", *given}, self._bounds, follows_error
-        decide = asking(hooks, *told) if hooks else None
+        names = {"alpha", *given}
+        decide = asking(hooks, self.state, whole, names, self._bounds, follows_error)
         setup = LoopSetup(numbers, np.pad(delays, ((0, 0), (0, 1)), "edge"), arrives)
         self.simulation = Simulation(
             teleoperate,
@@ -326,7 +327,7 @@ class TeleoperationLoop(Loop):
             LoopState(whole, np.zeros((2, count, 3)), accounts()),
             inputs,
             np.zeros(count, SAMPLE),
-            decide,
+            decide if hooks else None,
             blocks=BLOCKS,
             sample_time=T,
         )
@@ -447,13 +448,16 @@ class TeleoperationLoop(Loop):
         """
         run = self.simulation
         inputs = run.inputs[: run.done]
-        signals = {name: inputs[name].copy() for name in (*DECIDED.names, "push")}
-        signals = {name: rows for name, rows in signals.items() if not np.isnan(rows).all()}
-        arrives = {"arrives": run.setup.arrives[:, : run.done].T.copy()}
-        return signals | arrives if self.scheme.bilateral else signals
+        signals = {
+            name: inputs[name].copy()
+            for name in (*DECIDED.names, "push")
+            if not np.isnan(inputs[name]).all()
+        }
+        if self.scheme.bilateral:
+            signals["arrives"] = run.setup.arrives[:, : run.done].T.copy()
+        return signals
 
-    @property
-    def session(self) -> Session:
+    def so_far(self) -> Session:
         """The run so far: every signal and every port's energy, labelled synthetic."""
         done = self._done  # once: another thread may step meanwhile, as in a notebook
         rows = self.simulation.log[:done].view(float).reshape(done, -1)
@@ -475,9 +479,7 @@ class TeleoperationLoop(Loop):
             data, Metadata(self.operator.participant, self.scheme.name, __name__, True, facts)
         )
 
-    def so_far(self) -> Session:
-        """Return the run so far."""
-        return self.session
+    session = property(so_far)
 
 
 def simulate_teleoperation(
@@ -515,7 +517,7 @@ def simulate_teleoperation(
         If a function raises an error or returns what cannot be: part and time are named, and
         `.session` of the error is the run so far.
     DivergenceError
-        If the run grows without bound: the time, the block and its energy are named; likewise.
+        If the run grows without bound: the time and the block are named; likewise.
 
     Notes
     -----

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import Checked, Positive, Share
+from trustlab.models.checks import Checked, Positive, Share, finite_number
+from trustlab.models.simulation import asked
 from trustlab.models.trust import TrustModel
 from trustlab.trust.interface import Event, TrustDynamics
 
@@ -17,8 +18,9 @@ class TrustInLoop(Checked):
     A model of trust in place of (3.2) in `TeleoperationLoop(trust=…)`, or of (4.1) in a team.
 
     Models are fitted to trials. In a loop a trial lasts `every` seconds, and its performance is the
-    mean of the robot's over it; trust stays the same in between. No one rates: trust is the
-    expected one. In a team every robot has a course of its own.
+    mean of the robot's over it; trust stays the same in between. However long it lasts, it counts
+    as one (`Event.dt` is 1). No one rates: trust is the mean one. In a team every robot has a
+    course of its own.
 
     Parameters
     ----------
@@ -98,7 +100,9 @@ class TrustCourse:
         self.share = driver.start
         self._model = driver.model
         self._samples = max(round(driver.every / sample_time), 1)
-        self._belief: Any = driver.model.start(np.array([driver.start]))
+        self._belief = asked(
+            "the trust model, at t = 0 s", driver.model.start, np.array([driver.start])
+        )
         self._trial: list[float] = []
 
     def step(self, performance: float) -> float:
@@ -117,6 +121,7 @@ class TrustCourse:
             if judged:
                 event = Event(p_r=np.array([sum(judged) / len(judged)]))
                 self._belief = self._model.step(self._belief, event)
-                expected = float(self._model.rating(self._belief).mean[0])
+                mean = np.squeeze(self._model.rating(self._belief).mean)
+                expected = finite_number("the mean of one person's rating", mean)
                 self.share = min(max(expected, 0.0), 1.0)
         return self.share

@@ -28,6 +28,7 @@ from trustlab.teleoperation.team.settings import (
 )
 from trustlab.testbeds.condition_run import suggestions_followed
 from trustlab.testbeds.robot_team import TeamLoop
+from trustlab.testbeds.team_testbed import ring
 
 BY_HAND, SUGGESTED = "by_hand", "suggested"
 ADVISERS: dict = {name: POLICIES[name] for name in ("most_trusted", "hysteresis")}
@@ -117,12 +118,6 @@ class LeadingSettings(HandSettings):
         self.__dict__["goals"] = whole_number("goals", self.goals, most=20)
 
 
-def ring(count: int) -> np.ndarray:
-    """Return the graph of a team: each robot sees its two neighbours."""
-    after = np.roll(np.eye(count), 1, axis=0)
-    return after + after.T
-
-
 def gains_of(count: int) -> dict[str, float]:
     """Return the gains that bring a team of this size to a goal in time."""
     scaled = TeamSettings.scaled(ring(count), WITHIN)
@@ -135,10 +130,9 @@ class PersonLeads:
     pick is kept for the log.
     """
 
-    title = "a person"
-
     def __init__(self, condition: str, policy: LeaderPolicy | None = None):
         self.condition, self.policy = condition, policy
+        self.title = policy.title if policy else "a person"
         self.wish = 0
         self.picks = dict.fromkeys(ADVISERS, 1)
         self.free = False

@@ -11,8 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from trustlab.models.checks import finite_numbers
-from trustlab.models.simulation import DivergenceError as DivergenceError, PartError, View
+from trustlab.models.checks import finite_numbers, shown
+from trustlab.models.simulation import (
+    DivergenceError as DivergenceError,
+    PartError as PartError,
+    View,
+)
 
 # What a user's function decides, in the order in which they are asked. Where the vehicle went and
 # how trust changed follow from the sample before: these two are not asked at the start.
@@ -25,8 +29,6 @@ HOOKS = {
     "guiding force": ("guiding",),
 }
 FOLLOWING = ("vehicle", "trust")
-
-VECTORS = ("robot", "velocity", "u_a", "wanted", "guiding")
 
 
 def asking(
@@ -41,7 +43,7 @@ def asking(
     Return the `decide` of a `Simulation` that asks these functions in turn.
 
     records: those that `view` reads; later functions see there what earlier ones decided. given:
-    what may come from outside, where it prevails, and is seen, too. bounds: of scales and trust.
+    what may come from outside, which is seen, too, and not asked for. bounds: of scales and trust.
     follows_error: whether the guiding force follows the error of the moment, not the picture.
     A controller that has lost its target is not asked: it hovers.
     """
@@ -56,23 +58,21 @@ def asking(
 
     def decide(_: Any, inputs: np.ndarray) -> None:
         for part, names in parts.items():
-            rests = part in FOLLOWING and view.t == 0.0
-            if part in hooks and not (rests or (part == "autonomy" and not view.finds)):
-                try:
-                    values = hooks[part](view)
-                    values = values if len(names) > 1 else (values,)
-                    for name, value in zip(names, values, strict=True):
-                        value = checked(name, value, bounds)
-                        if math.isnan(inputs[name].item(0)):
-                            inputs[name] = value
-                except Exception as error:
-                    fault = str(error)
-                    if not isinstance(error, ReturnedError):
-                        fault = f"raised {type(error).__name__}: {fault}"
-                    raise PartError(
-                        f"the {part} of this loop {fault}, at t = {view.t:g} s"
-                    ) from error
+            # given, or decided before an interruption
             known = [name for name in names if not math.isnan(inputs[name].item(0))]
+            rests = part in FOLLOWING and view.t == 0.0
+            rests = rests or (part == "autonomy" and not view.finds)
+            if part in hooks and len(known) < len(names) and not rests:
+                try:
+                    decided = checked(names, hooks[part](view), bounds)
+                except Exception as error:
+                    raise PartError(
+                        f"the {part} of this loop, at t = {view.t:g} s: "
+                        f"{type(error).__name__}: {error}"
+                    ) from error
+                for name in {*names}.difference(known):
+                    inputs[name] = decided[name]
+                known = [*names]
             for name in known:
                 fields[name][:] = inputs[name]
             if "robot" in known:
@@ -84,23 +84,33 @@ def asking(
     return decide
 
 
-class ReturnedError(ValueError):
-    """A function returned what cannot be."""
-
-
-def checked(name: str, value: Any, bounds: Mapping[str, tuple[float, float]]) -> Any:
-    """Return what a function decided: finite, three numbers for a vector, and within its bounds."""
-    if name in VECTORS:
-        value = np.asarray(value, float)
-        valid = value.shape == (3,) and np.isfinite(value).all()
-        wanted = "three finite numbers are wanted, for x, y and z"
-    else:
-        low, high = bounds[name]
-        valid = low <= value <= high
-        wanted = f"it must lie in [{low:g}, {high:g}], as the loop's settings have it"
-    if not valid:
-        raise ReturnedError(f"returned {name} = {value}; {wanted}")
-    return value
+def checked(
+    names: tuple[str, ...], returned: Any, bounds: Mapping[str, tuple[float, float]]
+) -> dict[str, Any]:
+    """
+    Return what a function decided, by name: within its bounds, or three finite numbers.
+    """
+    try:
+        decided = dict(zip(names, returned if len(names) > 1 else (returned,), strict=True))
+    except (TypeError, ValueError):
+        wanted = f"{' and '.join(names)} are wanted"
+        raise ValueError(f"returned {shown(returned)}; {wanted}") from None
+    for name, value in decided.items():
+        try:
+            if name in bounds:
+                low, high = bounds[name]
+                valid = low <= value <= high
+            else:
+                decided[name] = vector = np.asarray(value, float)
+                valid = vector.shape == (3,) and np.isfinite(vector).all()
+        except (TypeError, ValueError):
+            valid = False
+        if not valid:
+            wanted = "three finite numbers are wanted, for x, y and z"
+            if name in bounds:
+                wanted = f"it must lie in [{low:g}, {high:g}], as the loop's settings have it"
+            raise ValueError(f"returned {name} = {shown(value)}; {wanted}")
+    return decided
 
 
 def is_state_space(vehicle: Any) -> bool:
@@ -121,10 +131,11 @@ def state_space(*matrices: np.ndarray) -> Callable:
         )
 
     def step(state: View) -> tuple[np.ndarray, np.ndarray]:
-        memory = state.memory
-        start = memory.setdefault("start", state.robot.copy())
-        memory["x"] = a @ memory.get("x", np.zeros(n)) + b @ state.command
-        moved = c @ memory["x"]
+        # under a key that no other function has
+        x, start = state.memory.get(step, (np.zeros(n), state.robot.copy()))
+        x = a @ x + b @ state.command
+        state.memory[step] = x, start
+        moved = c @ x
         return start + moved[:3], moved[3:]
 
     return step

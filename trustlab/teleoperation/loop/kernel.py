@@ -248,7 +248,7 @@ def passivity_share(guard, energy, velocity, force, gain, sample_time):
     demand = demanded(guard, energy, power, sample_time)  # (3.19)
     if np.isnan(demand) or gain == 0.0:
         return 1.0
-    return 1.0 / (1.0 + activation(power, gain, demand)[0])  # (3.20)
+    return 1.0 / (1.0 + activation(power, gain, demand))  # (3.20)
 
 
 @step

@@ -404,13 +404,6 @@ class Guidance(Checked):
             )
 
 
-def guidance_named(guidance: str | Guidance) -> Guidance:
-    """Return guidance by where it is rendered, or one's own as it is."""
-    if isinstance(guidance, Guidance):
-        return guidance
-    return Guidance(one_of("guidance", guidance, GUIDANCE, also="trustlab.teleoperation.Guidance"))
-
-
 def bounds_of(settings: LoopSettings) -> dict[str, tuple[float, float]]:
     """Return bounds of the scales (3.1) and of trust (3.4), with room for rounding."""
     ends, hr, rh = settings.scattering, settings.human_to_robot, settings.robot_to_human

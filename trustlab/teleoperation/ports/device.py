@@ -295,24 +295,24 @@ def demanded(method, energy, power, sample_time):
 @block
 def activation(power, gain, demand):
     """
-    Return w ≥ 0 of the damping that makes a port take the power `demand`, and whether it can.
+    Return w ≥ 0 of the damping that makes a port take the power `demand`.
 
     The port's velocity yields to the force, v = v0/(1 + w) with w = compliance z. With power =
     v0ᵀf' and gain = v0ᵀv0/compliance the port takes [(1 + w) power + w gain]/(1 + w)². The least w
-    is returned; infinity stops the port, as is done with every port whose power stays
-    negative however large w is.
+    is returned, that of the most that the port can take where that is less; infinity stops the
+    port, as is done with every port whose power stays negative however large w is.
     """
     if power >= demand:
-        return 0.0, True
+        return 0.0
     if power + gain <= 0.0:
-        return np.inf, demand <= 0.0
+        return np.inf
     if demand == 0.0:
-        return -power / (power + gain), True
+        return -power / (power + gain)
     half = 0.5 * (power + gain - 2.0 * demand)
     inner = half * half - demand * (demand - power)
     if inner < 0.0 or half <= 0.0:  # the most that the port can take
-        return max((gain - power) / (gain + power), 0.0), False
-    return (demand - power) / (half + np.sqrt(inner)), True
+        return max((gain - power) / (gain + power), 0.0)
+    return (demand - power) / (half + np.sqrt(inner))
 
 
 class Controlled(NamedTuple):

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from trustlab.models.checks import (
     Checked,
     Positive,
     Share,
     finite_array,
-    finite_numbers,
     positive,
     whole_number,
 )
@@ -133,14 +131,15 @@ class Scattering(Checked):
     @property
     def at_operator(self) -> End:
         """Coefficients of the wave equations at the operator's end."""
-        b, low, high = self.b, self.beta_min, self.beta_max
-        return End(b, math.sqrt(2.0 * b / high), math.sqrt(2.0 * b * low), math.sqrt(low / high))
+        return self._end(self.beta_min, self.beta_max, 2.0 * self.b * self.beta_min)
 
     @property
     def at_robot(self) -> End:
         """Coefficients of the wave equations at the robot's end."""
-        b, low, high = self.b, self.alpha_min, self.alpha_max
-        return End(b, math.sqrt(2.0 * b / high), math.sqrt(2.0 * low / b), math.sqrt(low / high))
+        return self._end(self.alpha_min, self.alpha_max, 2.0 * self.alpha_min / self.b)
+
+    def _end(self, low: float, high: float, sent: float) -> End:
+        return End(self.b, *map(math.sqrt, (2.0 * self.b / high, sent, low / high)))
 
     def dominance(self) -> dict[str, float]:
         """
@@ -166,19 +165,6 @@ class Scattering(Checked):
             "velocity_robot": far.arriving,
             "velocity_operator": near.sent / near.reflected,
         }
-
-
-def check_scale(name: str, values: ArrayLike, ends: Scattering) -> None:
-    """Refuse a scale, "alpha" or "beta", outside its bounds; the sample is named."""
-    values = np.ravel(finite_numbers(name, values))
-    low, high = getattr(ends, f"{name}_min"), getattr(ends, f"{name}_max")
-    bad = (values < low * (1 - 1e-12)) | (values > high * (1 + 1e-12))
-    if bad.any():
-        k = int(np.argmax(bad))
-        raise ValueError(
-            f"{name} must lie in [{low}, {high}] ({name}_min, {name}_max), but sample {k} is "
-            f"{values[k]}"
-        )
 
 
 # --- waves that arrive late ---------------------------------------------------------------------
