@@ -30,6 +30,7 @@ from trustlab.identification.log import (
     delayed,
     joined,
     log_settings,
+    never_switches,
     read_runs,
     undo_window,
     window_means,
@@ -260,8 +261,7 @@ def covariance_of(
     # MacKinnon & White 1985 (Stata's newey).
     samples = problem.counts.sum()
     factor = samples / max(samples - loose.size, 1.0)
-    meat = long_run(problem, x)[np.ix_(loose, loose)] if sandwiched else None
-    block = factor * (inverse if meat is None else inverse @ meat @ inverse)
+    block = factor * (sandwich(optimum, inverse) if sandwiched else inverse)
     block += _of_stamps(optimum, inverse)
     if any(run.stamp_error > 0.0 for run in problem.runs):
         # Stamps that are not exact may share an error, too: of any size that the residuals allow.
@@ -277,9 +277,10 @@ def covariance_of(
     return covariance + np.outer(shift, shift) / LIKELY
 
 
-def long_run(problem: Problem, x: np.ndarray) -> np.ndarray:
-    """Return the long-run covariance of the likelihood's scores, summed over runs."""
-    weights = problem.equations(x).weights
+def sandwich(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
+    """Return the covariance by the long-run covariance of the scores, summed over runs."""
+    problem = optimum.problem
+    weights = problem.equations(optimum.x).weights
     lags = max(map(hac_lags, problem.whitened()))
     total = np.zeros((problem.free.size,) * 2)
     for of_run in problem.series:
@@ -287,7 +288,7 @@ def long_run(problem: Problem, x: np.ndarray) -> np.ndarray:
         scores = sum(weight * s.white[:, 1:] * s.white[:, :1] for weight, s in pairs)
         places = of_run[0].places[1:] - 1
         total[np.ix_(places, places)] += hac_matrix(scores, lags)
-    return total
+    return inverse @ total[np.ix_(optimum.loose, optimum.loose)] @ inverse
 
 
 def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
@@ -334,10 +335,7 @@ def mode_delay(optimum: Optimum, sandwiched: bool) -> ModeDelay:
     at = late.equations(there.x)
     gradient = at.root.T @ at.residual
     place = np.searchsorted(late.free[there.loose], len(names))
-    spread = inverse
-    if sandwiched:
-        meat = long_run(late, there.x)[np.ix_(there.loose, there.loose)]
-        spread = inverse @ meat @ inverse
+    spread = sandwich(there, inverse) if sandwiched else inverse
     # What of the delay's effect the estimates imitate moves them; the rest tells of it.
     shift = np.delete(inverse[place], place) / inverse[place, place]
     value = -inverse[place] @ gradient[there.loose]
@@ -385,7 +383,7 @@ def result_of(estimate: Estimate) -> FitResult:
             f"Stopped after {optimum.steps} evaluations without a minimum; do not use the numbers."
         )
     sentences = [search, *marks, *remarks(estimate), *reasons]
-    if (marks or reasons) and "p_h" in model.outputs:
+    if (marks or reasons) and "p_h" in model.outputs and not never_switches(problem.runs):
         sentences.append("trustlab.sample_posterior says what mode, p_h and p_r do determine.")
     states = {}
     for j, name in enumerate(model.states):
@@ -466,7 +464,7 @@ def _mark(estimate: Estimate, table: pd.DataFrame) -> Iterator[str]:
                 f"{name} is at its bound, {value:.6g}: the fit is better beyond it, or "
                 "these data do not determine it."
             )
-        elif half > useful[name]:
+        elif status == "estimated" and not half <= useful[name]:  # NaN: as many unknowns as values
             table.loc[name, "status"] = "weak"
             hint = model.hints.get(name, "record phases that move the model more")
             yield (
@@ -496,13 +494,13 @@ def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
         # Values that the log has as means are shown as it has them.
         undone = [run.undone if name in averaged(outputs) else 1 for name in outputs]
         triples = zip(of_run, simulated, undone, strict=True)
-        shown = [[window_means(y, w) for y in (s.measured, out)] for s, out, w in triples]
-        measured, fitted = (dict(zip(outputs, y, strict=True)) for y in zip(*shown, strict=True))
+        shown = [
+            (window_means(s.measured, w), window_means(out, w), s.white[:, 0].copy(), s.known)
+            for s, out, w in triples
+        ]
+        columns = (dict(zip(outputs, column, strict=True)) for column in zip(*shown, strict=True))
         inputs = {name: run[name] for name in model.inputs}
-        by_name = dict(zip(outputs, of_run, strict=True))
-        errors = {name: series.white[:, 0].copy() for name, series in by_name.items()}
-        known = {name: series.known for name, series in by_name.items()}
-        yield RunFit(run.label, run.synthetic, run.t, inputs, measured, fitted, errors, known)
+        yield RunFit(run.label, run.synthetic, run.t, inputs, *columns)
 
 
 # --- remarks --------------------------------------------------------------------------------------
@@ -511,7 +509,7 @@ def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
 def remarks(estimate: Estimate) -> Iterator[str]:
     """Say what a reader should know of the data and of what the intervals allow for."""
     problem, optimum = estimate.problem, estimate.optimum
-    held = problem.loads[optimum.at_bound[problem.loads]]
+    held = [j for j in np.flatnonzero(optimum.at_bound) if j >= len(problem.model.names)]
     ends = Counter(f"{problem.unknowns[j]} = {estimate.values[j]:g}" for j in held)
     for end, number in sorted(ends.items()):
         yield f"{end}, an end of its range, in {number} of {counted(len(problem.runs), 'run')}."
@@ -521,15 +519,16 @@ def remarks(estimate: Estimate) -> Iterator[str]:
             f"{len(people)} participants share one set of parameters; fit them one by one "
             "unless that is meant."
         )
-    windows = {run.window * run.undone * run.sample_time for run in problem.runs}
+    samples = {run.window * run.undone for run in problem.runs}
+    windows = [(n > 1) * n * problem.runs[0].sample_time for n in sorted(samples)]
     means = " and ".join(averaged(problem.model.outputs))
-    if means and any(run.window * run.undone > 1 for run in problem.runs):
+    if means and any(windows):
         where = "in the values that are averaged" if problem.unwindow else "in the means"
-        spans = " and ".join(f"{window:g} s" for window in sorted(windows))
+        spans = " and ".join(f"{window:g} s" for window in windows)
         yield (
             f"The fit takes {means} as means over a moving window of {spans}, with noise {where}."
         )
-    if "mode" in problem.model.inputs and all(np.ptp(run["mode"]) == 0.0 for run in problem.runs):
+    if never_switches(problem.runs):
         yield "Mode never changes within any run."
     if "p_h" in problem.model.inputs:
         yield (
@@ -630,6 +629,6 @@ def _slow(estimate: Estimate) -> Iterator[str]:
     if memory and max(memory) * STRETCHES > samples:
         step = problem.runs[0].sample_time
         yield (
-            f"Noise is correlated over {max(memory) * step:.3g} s, and there are only "
+            f"Noise counts as correlated over {max(memory) * step:.3g} s, and there are only "
             f"{samples * step:.4g} s of data: too few for reliable intervals; record more."
         )
