@@ -141,6 +141,9 @@ def test_bounds_hold_and_are_reported():
     assert statuses(fit, "beta") == {"at bound"}
     assert not fit.success
     assert "beta is at its bound" in fit.message
+    for state, low in (("r0", 0.5), ("p_r0", 0.35)):
+        bounded = tl.fit_tsc(session(), bounds={state: (low, None)})
+        assert f"{state} = {low}, an end of its range, in 1 of 1 run." in bounded.message
     free = tl.fit_human(session(), bounds={"beta": (0.6, 0.9)})
     assert free.model.beta == pytest.approx(tl.fit_human(session()).model.beta, rel=1e-9)
 
@@ -211,6 +214,9 @@ def test_people_who_share_parameters_and_runs_without_a_change_of_mode_are_remar
     message = tl.fit_human(runs).message
     assert "2 participants share one set of parameters; fit them one by one" in message
     assert "Mode never changes within any run." in message
+    alone = tl.fit_human(runs[0].between(0.0, 60.0)).message
+    assert "weakly" in alone
+    assert "sample_posterior" not in alone  # which refuses it
     message = tl.fit_human([session(seed=k) for k in range(2)]).message
     assert "participants" not in message
     assert "Mode" not in message
@@ -259,6 +265,16 @@ def test_a_message_has_the_intervals_of_its_table():
     assert len(weak)
     for row in weak.itertuples():
         assert f"({row.value:.4g} ± {row.ci_high - row.value:.2g})" in fit.message
+
+
+def test_as_many_unknowns_as_values_are_weak():
+    def line(run, level, slope):
+        return level + slope * run.t
+
+    model = tl.Model(["level", "slope"], [], "p_r", [0.0, -1.0], [1.0, 1.0], simulate=line)
+    fit = tl.fit(model, log(mode=np.ones(2), p_r=np.array([0.30, 0.31])))
+    assert not fit.success
+    assert fit.table()["status"].eq("weak").all()
 
 
 def test_a_range_that_is_open_at_one_end_is_no_measure_of_the_other():

@@ -130,6 +130,7 @@ def test_recipes_and_sessions_say_the_window(tmp_path):
     read = tl.read_session(tmp_path / "log.csv", recipe=tmp_path / "lab.toml")
     assert read.metadata.more["performance_window"] == 30
     assert tl.fit_human(read).model.a == pytest.approx(tl.fit_human(means).model.a, abs=1e-5)
+    assert "moving window of 0 s and 30 s, " in tl.fit_human([means, session()]).message
     with pytest.raises(tl.IdentificationError, match="cut the log first"):
         tl.fit_human(means.between(100.0, 900.0))
 
@@ -210,7 +211,7 @@ def test_coarse_numbers_and_slow_noise_are_doubted():
     drifting = session().with_columns(p_h=session()["p_h"] + walk)
     for doubtful, says in (
         (of_setting("quantised at 0.01", 1)[0], "logged in steps of 0.01"),
-        (drifting, "too few for reliable intervals"),
+        (drifting, "Noise counts as correlated over "),
     ):
         fit = tl.fit_human(doubtful)
         assert not fit.success

@@ -39,6 +39,14 @@ def test_exact_data_give_the_parameters_back(name, design):
     assert -a1 == pytest.approx(model.robot.a, rel=1e-9)
 
 
+def test_runs_may_begin_at_rest_and_at_work():
+    """A start that all runs shared led to the other side of β for one of them."""
+    mode, r0 = np.repeat([1.0, 0.0] * 4, 400), [0.0, 0.5, 0.95]
+    fit = tl.fit_tsc([session(abs(i % 2 - mode), r0=each, seed=i) for i, each in enumerate(r0)])
+    assert fit.success, fit.message
+    np.testing.assert_allclose(fit.initial_states["r0"], r0, atol=0.03)
+
+
 @pytest.mark.parametrize("name", MODELS)
 def test_shipped_sessions_are_fitted(name):
     file = "pilot.csv" if name == "pilot" else f"participant_{name}.parquet"

@@ -30,6 +30,7 @@ from trustlab.identification.log import (
     delayed,
     joined,
     log_settings,
+    never_switches,
     read_runs,
     undo_window,
     window_means,
@@ -260,8 +261,7 @@ def covariance_of(
     # MacKinnon & White 1985 (Stata's newey).
     samples = problem.counts.sum()
     factor = samples / max(samples - loose.size, 1.0)
-    meat = long_run(problem, x)[np.ix_(loose, loose)] if sandwiched else None
-    block = factor * (inverse if meat is None else inverse @ meat @ inverse)
+    block = factor * (sandwich(optimum, inverse) if sandwiched else inverse)
     block += _of_stamps(optimum, inverse)
     if any(run.stamp_error > 0.0 for run in problem.runs):
         # Stamps that are not exact may share an error, too: of any size that the residuals allow.
@@ -277,17 +277,18 @@ def covariance_of(
     return covariance + np.outer(shift, shift) / LIKELY
 
 
-def long_run(problem: Problem, x: np.ndarray) -> np.ndarray:
-    """Return the long-run covariance of the likelihood's scores, summed over runs."""
-    lags = max(map(hac_lags, problem.whitened(x)))
-    weights = problem.equations(x).weights
+def sandwich(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
+    """Return the covariance by the long-run covariance of the scores, summed over runs."""
+    problem = optimum.problem
+    lags = max(map(hac_lags, problem.whitened(optimum.x)))
+    weights = problem.equations(optimum.x).weights
     total = np.zeros((problem.free.size,) * 2)
     for of_run in problem.series:
         pairs = zip(weights, of_run, strict=True)
         scores = sum(weight * s.slopes * s.errors[:, None] for weight, s in pairs)
         unknowns = of_run[0].unknowns
         total[np.ix_(unknowns, unknowns)] += hac_matrix(scores, lags)
-    return total
+    return inverse @ total[np.ix_(optimum.loose, optimum.loose)] @ inverse
 
 
 def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
@@ -334,10 +335,7 @@ def mode_delay(optimum: Optimum, sandwiched: bool) -> ModeDelay:
     at = late.equations(there.x)
     gradient = at.root.T @ at.residual
     place = np.searchsorted(late.free[there.loose], len(names))
-    spread = inverse
-    if sandwiched:
-        meat = long_run(late, there.x)[np.ix_(there.loose, there.loose)]
-        spread = inverse @ meat @ inverse
+    spread = sandwich(there, inverse) if sandwiched else inverse
     # What of the delay's effect the estimates imitate moves them; the rest tells of it.
     shift = np.delete(inverse[place], place) / inverse[place, place]
     value = -inverse[place] @ gradient[there.loose]
@@ -382,7 +380,7 @@ def result_of(estimate: Estimate) -> FitResult:
         "Converged." if optimum.converged else "Stopped without a minimum: do not use the numbers."
     )
     sentences = [settled, *marks, *remarks(estimate), *reasons]
-    if (marks or reasons) and "p_h" in model.outputs:
+    if (marks or reasons) and "p_h" in model.outputs and not never_switches(problem.runs):
         sentences.append("trustlab.sample_posterior says what mode, p_h and p_r do determine.")
     states = {}
     for j, name in enumerate(model.states):
@@ -463,7 +461,7 @@ def _mark(estimate: Estimate, table: pd.DataFrame) -> Iterator[str]:
                 f"{name} is at its bound, {value:.6g}: the fit is better beyond it, or "
                 "these data do not determine it."
             )
-        elif half > useful[name]:
+        elif status == "estimated" and not half <= useful[name]:  # NaN: as many unknowns as values
             table.loc[name, "status"] = "weak"
             hint = model.hints.get(name, "record phases that move the model more")
             yield (
@@ -489,16 +487,16 @@ def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
     problem, x = estimate.problem, estimate.optimum.x
     model, whitened = problem.model, problem.whitened(x)
     for i, (run, of_run) in enumerate(zip(problem.runs, problem.series, strict=True)):
+        # Values that the log has as means are shown as it has them.
+        undone = [run.undone if name in averaged(model.outputs) else 1 for name in model.outputs]
+        parts = zip(of_run, problem.simulated(run, i, x), whitened, undone, strict=True)
+        shown = [
+            (window_means(s.measured, w), window_means(simulated, w), errors[i], s.known)
+            for s, simulated, errors, w in parts
+        ]
+        columns = zip(*shown, strict=True)
+        by_name = [dict(zip(model.outputs, column, strict=True)) for column in columns]
         inputs = {name: run[name] for name in model.inputs}
-        by_name: list[dict[str, np.ndarray]] = [{}, {}, {}, {}]
-        measured, fitted, errors, known = by_name
-        parts = zip(model.outputs, of_run, problem.simulated(run, i, x), whitened, strict=True)
-        for name, series, simulated, of_output in parts:
-            # Values that the log has as means are shown as it has them.
-            window = run.undone if name in averaged(model.outputs) else 1
-            measured[name] = window_means(series.measured, window)
-            fitted[name] = window_means(simulated, window)
-            errors[name], known[name] = of_output[i], series.known
         yield RunFit(run.label, run.synthetic, run.t, inputs, *by_name)
 
 
@@ -508,7 +506,7 @@ def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
 def remarks(estimate: Estimate) -> Iterator[str]:
     """Say what a reader should know of the data and of what the intervals allow for."""
     problem, optimum = estimate.problem, estimate.optimum
-    held = problem.loads[optimum.at_bound[problem.loads]]
+    held = [j for j in np.flatnonzero(optimum.at_bound) if j >= len(problem.model.names)]
     ends = Counter(f"{problem.unknowns[j]} = {estimate.values[j]:g}" for j in held)
     for end, number in sorted(ends.items()):
         yield f"{end}, an end of its range, in {number} of {counted(len(problem.runs), 'run')}."
@@ -518,15 +516,16 @@ def remarks(estimate: Estimate) -> Iterator[str]:
             f"{len(people)} participants share one set of parameters; fit them one by one "
             "unless that is meant."
         )
-    windows = {run.window * run.undone * run.sample_time for run in problem.runs}
+    samples = {run.window * run.undone for run in problem.runs}
+    windows = [(n > 1) * n * problem.runs[0].sample_time for n in sorted(samples)]
     means = " and ".join(averaged(problem.model.outputs))
-    if means and any(run.window * run.undone > 1 for run in problem.runs):
+    if means and any(windows):
         where = "in the values that are averaged" if problem.unwindow else "in the means"
-        spans = " and ".join(f"{window:g} s" for window in sorted(windows))
+        spans = " and ".join(f"{window:g} s" for window in windows)
         yield (
             f"The fit takes {means} as means over a moving window of {spans}, with noise {where}."
         )
-    if "mode" in problem.model.inputs and all(np.ptp(run["mode"]) == 0.0 for run in problem.runs):
+    if never_switches(problem.runs):
         yield "Mode never changes within any run."
     if "p_h" in problem.model.inputs:
         yield (
@@ -627,6 +626,6 @@ def _slow(estimate: Estimate) -> Iterator[str]:
     if memory and max(memory) * STRETCHES > samples:
         step = problem.runs[0].sample_time
         yield (
-            f"Noise is correlated over {max(memory) * step:.3g} s, and there are only "
+            f"Noise counts as correlated over {max(memory) * step:.3g} s, and there are only "
             f"{samples * step:.4g} s of data: too few for reliable intervals; record more."
         )

@@ -241,6 +241,11 @@ def joined(runs: list[Run], name: str) -> np.ndarray:
     return np.concatenate([run[name] for run in runs])
 
 
+def never_switches(runs: list[Run]) -> bool:
+    """Return whether there is a mode, and it never changes within any run."""
+    return all(np.ptp(run.columns.get("mode", [0.0, 1.0])) == 0.0 for run in runs)
+
+
 def in_rows(values: np.ndarray, length: int) -> np.ndarray:
     """Return values in rows of so many; what does not fill a row is left out."""
     return values[: values.size // length * length].reshape(-1, length)

@@ -236,8 +236,10 @@ class Model(Checked):
         bounds : mapping, optional
             (low, high) by name; None for an open side.
         """
-        given: dict[str, Any] = {"fixed": fixed, "bounds": bounds}
-        given = {name: {} if values is None else values for name, values in given.items()}
+        given: dict[str, Any] = {
+            "fixed": {} if fixed is None else fixed,
+            "bounds": {} if bounds is None else bounds,
+        }
         for argument, values in given.items():
             if not isinstance(values, Mapping):
                 raise ValueError(f"{argument} must give values by name, got {shown(values)}")

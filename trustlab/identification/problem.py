@@ -15,7 +15,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.identification.log import Run, averaged, counts, joined, undone, window_means
+from trustlab.identification.log import (
+    Run,
+    averaged,
+    counts,
+    joined,
+    never_switches,
+    undone,
+    window_means,
+)
 from trustlab.identification.model import IdentificationError, Model
 from trustlab.identification.noise import Noise, fitted_noise, outliers, scaled_roots, whiten
 from trustlab.models.checks import counted, of_class
@@ -346,7 +354,7 @@ class Optimum:
         unknown = np.abs(vectors[:, singular]).max(axis=1) > 0.25
         lost = tuple(dict.fromkeys(problem.unknowns[j] for j in problem.free[loose[unknown]]))
         cause = "several values explain them equally well"
-        if all(np.ptp(run.columns.get("mode", [0.0, 1.0])) == 0.0 for run in problem.runs):
+        if never_switches(problem.runs):
             cause = f"mode never changes within any of the {counted(len(problem.runs), 'run')}"
         raise IdentificationError(
             f"these data do not determine {' and '.join(lost)} ({cause}); record phases "
@@ -519,8 +527,7 @@ def _views(model: Model, runs: list[Run]) -> Iterator[tuple[bool, list[Run]]]:
         yield False, runs
         return
     yield True, [undone(run, model.outputs) for run in runs]
-    means = [run.mapped(model.inputs, window_means) for run in runs]
-    yield False, [run.changed({}, window=1) for run in means]
+    yield False, [run.mapped(model.inputs, window_means).changed({}, window=1) for run in runs]
 
 
 def _completed(start: dict, limits: Mapping) -> dict:

@@ -12,7 +12,7 @@ other; a grid of operators starts the searches of HUMAN and TSC. `fit_robot` is 
 robot's own names, of which it keeps the robot's part.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -176,23 +176,15 @@ BETAS = np.linspace(0.15, 0.95, 7)
 MOST_POINTS = 4
 
 
-def _rates(runs: list[Run], limits: tuple[float, float], length: int) -> np.ndarray:
-    """Return shares kept over a block, for time constants from a few samples to many runs."""
-    longest = max(run.size for run in runs) * length
+def _operators(means: list[Run], limits: Mapping, length: int) -> Iterator[dict[str, Any]]:
+    """Yield the best operators of a grid, by thirds of the rates and r0, and their P_h by run."""
+    # Shares kept over a block, for time constants from a few samples to many runs.
+    longest = max(run.size for run in means) * length
     time_constants = np.geomspace(min(20.0, 0.2 * longest), 4.0 * longest, 14)
-    return np.unique(np.clip(1.0 - 1.0 / time_constants, *limits)) ** length
-
-
-def _operators(means: list[Run], limits: Mapping, length: int) -> list[dict[str, float]]:
-    """Return the best operators of a grid, for each third of the rates and each r0."""
-    rates = _rates(means, limits["a"], length)
-    axes = np.meshgrid(
-        rates,
-        np.unique(np.clip(RESTS, *limits["r0"])),
-        np.unique(np.clip(BETAS, *limits["beta"])),
-        indexing="ij",
-    )
-    a, r0, beta = (axis.ravel() for axis in axes)
+    rates = np.unique(np.clip(1.0 - 1.0 / time_constants, *limits["a"])) ** length
+    r0s = np.unique(np.clip(RESTS, *limits["r0"]))
+    betas = np.unique(np.clip(BETAS, *limits["beta"]))
+    a, r0, beta = map(np.ravel, np.meshgrid(rates, r0s, betas, indexing="ij"))
     shapes = [simulate_human(run, a, beta, 0.0 * a, 1.0 + 0.0 * a, r0) for run in means]
     # P_h = p_min + (p_max − p_min) shape, (2.6): a line at every point of the grid.
     shape, p_h = np.concatenate(shapes), joined(means, "p_h")
@@ -204,9 +196,22 @@ def _operators(means: list[Run], limits: Mapping, length: int) -> list[dict[str,
     order = np.argsort(-explained, kind="stable")
     thirds = np.searchsorted(rates, a[order]) * 3 // rates.size
     kinds = np.unique(np.column_stack([thirds, r0[order]]), axis=0, return_index=True)[1]
-    columns = {"a": a, "beta": beta, "p_min": p_min, "p_max": p_min + span, "r0": r0}
-    points = order[np.sort(kinds)[:MOST_POINTS]]
-    return [{name: float(column[k]) for name, column in columns.items()} for k in points]
+    for k in order[np.sort(kinds)[:MOST_POINTS]]:
+        # Each run begins where that suits this operator best.
+        alike = np.flatnonzero((a == a[k]) & (beta == beta[k]))
+        curves = [p_min[k] + span[k] * of_run[:, alike] for of_run in shapes]
+        best = [
+            np.sum((p_h.T - run["p_h"]) ** 2, axis=1).argmin()
+            for p_h, run in zip(curves, means, strict=True)
+        ]
+        yield {
+            "a": a[k],
+            "beta": beta[k],
+            "p_min": p_min[k],
+            "p_max": p_min[k] + span[k],
+            "r0": r0[alike[best]],
+            "drives": [p_h[:, j] for p_h, j in zip(curves, best, strict=True)],
+        }
 
 
 def _robot(means: list[Run], limits: Mapping, p_h_max: float, drives: list) -> dict[str, Any]:
@@ -241,11 +246,6 @@ def _refined(model: Model, points_of: Callable, runs: list[Run], limits: Mapping
     at = [problem.full_vector(point) for point in points_of(means, limits, length)]
     optima = [search(problem, x, tolerance=1e-2, most=15) for x in at]
     return [over(optimum.values(), 1.0 / length) for optimum in distinct(optima, SHALLOW)]
-
-
-def human_starts(runs: list[Run], limits: Mapping) -> list[dict]:
-    """Return operators near the best optima of block means."""
-    return _refined(HUMAN, _operators, runs, limits)
 
 
 def robot_starts(runs: list[Run], limits: Mapping) -> list[dict]:
@@ -301,9 +301,7 @@ def joint_model(human: Mapping[str, str], robot: Mapping[str, str], names: Itera
     def points(means, limits, length):
         """Yield operators, each with the robot that suits it."""
         for operator in _operators(means, _part(human, limits), length):
-            values = {name: np.array([value]) for name, value in operator.items()}
-            drives = [simulate_human(run, **values)[:, 0].copy() for run in means]
-            machine = _robot(means, _part(robot, limits), operator["p_max"], drives)
+            machine = _robot(means, _part(robot, limits), operator["p_max"], operator["drives"])
             yield _joint(robot, machine) | _joint(human, operator)
 
     def gain(**values):
@@ -335,13 +333,13 @@ HUMAN = Model(
     ("p_h",),
     size=_half_ranges(("p_min", "p_max")),
     simulate=simulate_human,
-    starts=human_starts,
     lanes=True,
     coordinates=COORDINATE,
     build=lambda **values: _human_of({name: name for name in values}, values),
     derived={"b": lambda a, **_: 1.0 - a},
     hints=HINTS,
 )
+HUMAN = replace(HUMAN, starts=partial(_refined, HUMAN, _operators))
 
 ROBOT = Model(
     ("a", "p_min", "p_max", "p_h_max"),

@@ -152,21 +152,21 @@ def test_coordinates_have_unit_jacobian():
 
 
 def test_a_delay_shifts_what_is_simulated():
-    """Oracle: the models' samples, moved."""
+    """Oracle: the models' samples under a mode that is moved; states are those of the first."""
     target, runs, theta = target_and_runs(np.random.default_rng(9), (1.0,), mode_delay=True)
     assert kernel.DELAY in target.free
     tsc, r0, p_r0 = simulated_logs.model_of(theta)
-    sampled = tsc.simulate(runs[0]["mode"], r0, p_r0)[["p_h", "p_r"]].to_numpy().T
-    means = kernel.simulate(theta, target.blocks)
-    errors = np.empty(means.shape)
-    for samples in (10, 3):
-        moved = np.concatenate([sampled[:, :1].repeat(samples, axis=1), sampled], axis=1)
-        measured = moved[:, : 10 * means.shape[1]].reshape(2, -1, 10).mean(axis=2)
-        blocks = target.blocks._replace(measured=measured, known=np.ones(means.shape, bool))
+    mode = runs[0]["mode"]
+    errors = np.empty(target.blocks.measured.shape)
+    for samples in (10, 3, 40):
+        moved = np.r_[mode[:1].repeat(samples), mode[:-samples]]
+        sampled = tsc.simulate(moved, r0, p_r0)[["p_h", "p_r"]].to_numpy().T
+        measured = sampled[:, : 10 * errors.shape[1]].reshape(2, -1, 10).mean(axis=2)
+        blocks = target.blocks._replace(measured=measured, known=np.ones(errors.shape, bool))
         sizes = []
         # Negative control: the mode acts when it is stamped.
         for theta[kernel.DELAY] in (0.1 * samples, 0.0):
-            kernel.innovations(theta, blocks, means, errors)
+            kernel.innovations(theta, blocks, kernel.simulate(theta, blocks), errors)
             sizes.append(np.abs(errors).mean())
         assert sizes[0] < 0.25 * sizes[1]
 

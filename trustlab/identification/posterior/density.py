@@ -108,8 +108,9 @@ def physical(thetas: np.ndarray, step: float) -> pd.DataFrame:
         table[f"{who}_p_max"] = table[f"{who}_p_min"] + table[f"{who}_span"]
     states = list(names)[R0:]
     table[states[1::PER_RUN]] = table[states[1::PER_RUN]].add(table["robot_p_min"], axis="index")
-    model = [f"human_{name}" for name in ("time_constant", "a", "beta", "p_min", "p_max")]
-    model += [f"robot_{name}" for name in ("time_constant", "a", "p_min", "p_max")]
+    model = list(TSC.names)
+    model.insert(4, "robot_time_constant")
+    model.insert(0, "human_time_constant")
     order = [*model, "mode_delay", *states, *list(names)[SHARED:DELAY]]
     return table.rename(columns={"beta": "human_beta"})[order]
 
@@ -131,9 +132,10 @@ def coordinates_of(values: Mapping[str, Any], step: float) -> np.ndarray:
 def transformed(models: Iterable[TscModel]) -> np.ndarray:
     """Return the first seven coordinates of models at steps of 0.1 s."""
     # "human_a" is human.a of the model.
-    of = {name: attrgetter(name.replace("_", ".", 1)) for name in TSC.names}
-    rows = [{name: value(tsc) for name, value in of.items()} for tsc in models]
-    return np.array([coordinates_of(row, 0.1) for row in rows])
+    values = attrgetter(*(name.replace("_", ".", 1) for name in TSC.names))
+    return np.array(
+        [coordinates_of(dict(zip(TSC.names, values(tsc), strict=True)), 0.1) for tsc in models]
+    )
 
 
 # --- the prior -----------------------------------------------------------------------------------
@@ -358,26 +360,33 @@ def blocks_of(problem: Problem) -> Blocks:
 
 
 @njit
-def relaxation(tau, blocks):
-    """Return by number of samples which share of a distance is left, and is there on average."""
+def relaxation(theta, place, blocks):
+    """
+    Return by number of samples which share of a distance is left, and is there on average; and the
+    share of that at the first sample which is left when a mode that acts late begins to.
+    """
+    tau = np.exp(theta[place])
     left = np.empty(blocks.samples + 1)
     share = np.empty(blocks.samples + 1)
     loss = -np.expm1(-blocks.step / tau)
     for length in range(1, left.size):
         left[length] = np.exp(-blocks.step * length / tau)
         share[length] = (1.0 - left[length]) / (loss * length)
-    return left, share
+    return left, share, np.exp(-theta[DELAY] / tau)
 
 
 @njit
 def utilize(theta, blocks, shape, means):
     """Write (2.6) between 0 and 1, by stretch and as block means; return mean and spread."""
-    left, share = relaxation(np.exp(theta[TAU_R]), blocks)
+    left, share, begun = relaxation(theta, TAU_R, blocks)
     beta = 1.0 / (1.0 + np.exp(-theta[BETA]))
     means[:] = 0.0
     for run in range(blocks.windows.size):
-        r = 1.0 / (1.0 + np.exp(-theta[R0 + PER_RUN * run]))
-        for s in range(blocks.first_stretch[run], blocks.first_stretch[run + 1]):
+        first = blocks.first_stretch[run]
+        mode = blocks.modes[first]
+        r = mode + (1.0 / (1.0 + np.exp(-theta[R0 + PER_RUN * run])) - mode) * begun
+        r = min(max(r, 0.0), 1.0)
+        for s in range(first, blocks.first_stretch[run + 1]):
             # (2.5) over the stretch: r(k) = M + (r − M) aᵏ, and its mean.
             mode, length = blocks.modes[s], blocks.lengths[s]
             shape[s] = yerkes_dodson(mode + (r - mode) * share[length], beta)
@@ -398,14 +407,17 @@ def perform(theta, blocks, shape, means):
     span = np.exp(theta[H_SPAN])
     p_min = theta[P_MIN]
     gain = np.exp(theta[P_SPAN]) / (low + span)
-    left, share = relaxation(np.exp(theta[TAU_P]), blocks)
+    left, share, begun = relaxation(theta, TAU_P, blocks)
     means[0] = low + span * means[0]
     means[1] = 0.0
     for run in range(blocks.windows.size):
+        first = blocks.first_stretch[run]
         p_r = p_min + theta[P_R0 + PER_RUN * run]
-        for s in range(blocks.first_stretch[run], blocks.first_stretch[run + 1]):
+        for s in range(first, blocks.first_stretch[run + 1]):
             # (2.3) tends to P_min + M gain P_h, gain = (P_max − P_min)/P_h,max.
             goal = p_min + blocks.modes[s] * gain * (low + span * shape[s])
+            if s == first:
+                p_r = goal + (p_r - goal) * begun
             length = blocks.lengths[s]
             mean = goal + (p_r - goal) * share[length]
             means[1, blocks.block[s]] += mean * length / blocks.samples
@@ -422,9 +434,9 @@ def simulate(theta: np.ndarray, blocks: Blocks) -> np.ndarray:
 
 @njit
 def _sum_until(at, values, sums):
-    """Return what values add up to at a place in blocks, linear within a block."""
+    """Return what values add up to at a place in blocks, linear within a block and before all."""
     last = values.size - 1
-    k = min(int(at), last)
+    k = max(min(int(at), last), 0)
     part = at - k
     before = max(k - 1, 0)
     after = min(k + 1, last)
@@ -446,8 +458,9 @@ def logged(values, late, window, samples):
     length = 1.0 if window == 1 else window / samples
     out = np.empty(values.size)
     for k in range(values.size):
-        end = min(max(k + ahead - late, 0.5), values.size)
-        begin = max(end - length, 0.0)
+        end = min(k + ahead - late, values.size)
+        # The log begins at −late, unless that is beyond the last value.
+        begin = max(end - length, min(-late, end - 0.5))
         total = _sum_until(end, values, sums) - _sum_until(begin, values, sums)
         out[k] = total / (end - begin)
     return out

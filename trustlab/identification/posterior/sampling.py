@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special, stats
 
-from trustlab.identification.log import LogSettings, log_settings, read_runs
+from trustlab.identification.log import LogSettings, log_settings, never_switches, read_runs
 from trustlab.identification.model import IdentificationError
 from trustlab.identification.noise import whiteness_p
 from trustlab.identification.posterior.density import (
@@ -447,7 +447,7 @@ def sample_posterior(
     n = whole_number("n", n, least=100, most=100_000)
     log = log_settings(log, settings)
     runs = read_runs(sessions, "mode", *OUTPUTS, log=log)
-    if all(np.ptp(run["mode"]) == 0.0 for run in runs):
+    if never_switches(runs):
         raise IdentificationError(
             "mode never changes within any run, so that neither rise nor decay is seen to end; "
             "record a run in which control changes hands"
