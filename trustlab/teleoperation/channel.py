@@ -137,7 +137,7 @@ def channel_run(
         that a run can break them.
     read_out : {"ledger", "interpolated", "hold"}
         How delayed waves are read. "ledger" holds the newest wave, at the gain √(1 − dT/dt) of the
-        moment, and never gives out more energy than arrived, for any delay, loss and order.
+        moment, and never gives out more energy than was sent, for any delay, loss and order.
         "interpolated" reads between samples with the gain f_i; for delays that grow at Ṫ_max it
         gives out at most 2.1 % more energy than was sent (nothing more at Ṫ_max = 1/2). "hold"
         reads the last sample with f_i, and is not passive for growing delays.

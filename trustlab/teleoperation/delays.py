@@ -65,7 +65,7 @@ class Delay:
             of the run, or grows faster than `max_rate`; the time is named.
         """
         t = sample_time * np.arange(count)
-        if t[-1] > self.end:
+        if t[-1] > self.end + SLACK:
             raise ValueError(
                 f"{self.title} is known until {self.end:g} s, and the run lasts until {t[-1]:g} s"
             )

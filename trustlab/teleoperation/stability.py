@@ -9,7 +9,8 @@ from trustlab.models.checks import of_class
 from trustlab.models.display import Result
 from trustlab.sessions.session import Session
 
-# Velocity and force at each port; power is positive where it comes in from the hand or the robot.
+# Velocity and force at each port; power is positive where it enters at the hand, and leaves to
+# the robot.
 PORTS = {"operator": ("r_m", "f_m"), "robot": ("r_s", "f_s")}
 
 # What integrals may be off by rounding, as a share of all energy exchanged.
@@ -133,7 +134,7 @@ def passivity(session: Session) -> Passivity:
         exchanged += session.sample_time * float(np.abs(power).sum())
     frame = pd.DataFrame(energies, index=session.data.index)
     sizes = np.abs(session.data[names].to_numpy()).max(axis=1)
-    last = len(sizes) - len(sizes) // 3
+    last = len(sizes) - max(len(sizes) // 3, 1)
     before, after = sizes[:last].max(), sizes[last:].max()
     growth = float(after / before) if before > 0.0 else np.inf if after > 0.0 else 1.0
     passive = bool((frame.min() >= -ROUNDING * exchanged - 1e-12).all())

@@ -59,7 +59,7 @@ def drawn_people(n: int, seed: int, people: int, draw: Callable) -> pd.DataFrame
     Return a row of draw(participant, rng) for each of so many people.
 
     Each has a random stream of their own, so that a smaller sample is the beginning of a larger
-    one; `people` tells the streams of one population from those of others.
+    one; `people` is mixed into the seed.
     """
     root = [whole_number("seed", seed, least=0), people]
     rows = []

@@ -122,7 +122,7 @@ class TeamLoop(Loop):
         edge and not among the nodes any more) or join (nodes that were not there before). Use
         networkx graphs for that, whose robots have names.
     policy : {"most_trusted", "hysteresis", "sequence", "random"} or LeaderPolicy
-        Who leads; decided every 0.1 s, or every sample where samples are longer. Your own policy is
+        Who leads; decided every 0.1 s, or the nearest whole number of samples. Your own policy is
         any object with a `title` and a method `leader(now)`, called at every decision with a
         `TeamSituation` (time, trust, positions, who may lead, a memory of its own), which returns
         the number of the leader. Each leads for τ_min at least, unless it leaves the team: a wish
@@ -221,11 +221,14 @@ class TeamLoop(Loop):
             self._drawn, start = _drawn(self._decisions, len(self.robots), rate, drawn)
             if driver is None:
                 self._share = start
-        if self._graphs[-1].since >= duration:
-            raise ValueError(
-                f"the graph from t = {self._graphs[-1].since:g} s on would do nothing in a run of "
-                f"{duration:g} s"
-            )
+        first = [np.ceil((graph.since - SLACK) / self._step) for graph in self._graphs]
+        until = [*first[1:], np.ceil(self.count / per_decision)]
+        for graph, begins_at, ends_at in zip(self._graphs, first, until, strict=True):
+            if begins_at >= ends_at:
+                raise ValueError(
+                    f"the graph from t = {graph.since:g} s on would do nothing in a run of "
+                    f"{duration:g} s with a decision every {self._step:g} s"
+                )
         self._graph = self._graphs[0]
         self._levels: list[np.ndarray] = []  # of trust, at every decision
         self._named: int | None = None

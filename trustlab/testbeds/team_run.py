@@ -116,7 +116,7 @@ class TeamRun(Result):
 
     @property
     def operator_passive(self) -> bool:
-        """Whether V_h ≥ −β_h held throughout (4.30)."""
+        """Whether V_h ≥ −β_h held in all recorded samples (4.30)."""
         return bool(self.data["v_h"].min() >= -self.budget)
 
     @property

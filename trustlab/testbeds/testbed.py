@@ -207,7 +207,11 @@ class ConditionTestbed(Checked, Testbed):
             If what was made is no rule; and what making it raises.
         """
         make = self.rules[condition]
-        needed = [p for p in inspect.signature(make).parameters.values() if p.default is p.empty]
+        needed = [
+            p
+            for p in inspect.signature(make).parameters.values()
+            if p.default is p.empty and p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)
+        ]
         rule = make(person_of(person)[1]) if needed else make()
         prepared_rule(rule, None)
         return rule

@@ -453,6 +453,8 @@ class TeleoperationLoop(Loop):
             for name in (*DECIDED.names, "push")
             if not np.isnan(inputs[name]).all()
         }
+        for name in {"trust_hr", "trust_rh"} & {*signals}:  # nobody is asked for it at the start
+            signals[name][:1] = self.simulation.log[name][: min(run.done, 1)]
         if self.scheme.bilateral:
             signals["arrives"] = run.setup.arrives[:, : run.done].T.copy()
         return signals

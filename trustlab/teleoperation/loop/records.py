@@ -99,7 +99,7 @@ class LoopState(NamedTuple):
     What samples hand on; changed in place.
 
     whole, shape (1,): a record of STATE. sent, shape (2, K, 3): waves by the sample that they were
-    sent in, to the robot and back. accounts: `ledger.accounts()`.
+    sent in, to the robot and back. accounts: `waves.accounts()`.
     """
 
     whole: np.ndarray

@@ -1,4 +1,3 @@
 """
-The ports of a teleoperation loop, each with its compiled equations: device, waves, ledger,
-passivity.
+The ports of a teleoperation loop, with their compiled equations: the device, and waves between.
 """

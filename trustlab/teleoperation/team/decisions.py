@@ -3,6 +3,7 @@
 from bisect import bisect_right
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -56,9 +57,12 @@ class TeamSituation:
     memory: dict
     loop: Any = field(repr=False)
 
-    @property
+    @cached_property
     def positions(self) -> np.ndarray:
-        """Where the robots are [m], shape (N, 3); ∞ for absent ones, never the nearest."""
+        """
+        Where the robots are when this is first asked for [m], shape (N, 3); ∞ for absent ones,
+        never the nearest.
+        """
         return np.where(self.present[:, None], self.loop.positions, np.inf)
 
     @property
@@ -220,8 +224,8 @@ class RandomLeaders(Checked):
         now : TeamSituation
             Time, and who may lead; its memory keeps when the leader goes.
         """
-        leader = now.leader
-        if leader is not None and now.may_lead[leader] and now.t < now.memory["until"] - SLACK:
+        leader, until = now.leader, now.memory.get("until", now.since + now.dwell)
+        if leader is not None and now.may_lead[leader] and now.t < until - SLACK:
             return leader
         robots = np.arange(len(now.robots))
         others = robots if leader is None else (leader + 1 + robots[:-1]) % robots.size

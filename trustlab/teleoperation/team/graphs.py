@@ -4,6 +4,7 @@ one step on them.
 """
 
 from collections.abc import Iterable, Mapping
+from numbers import Integral
 from typing import NamedTuple
 
 import numpy as np
@@ -101,7 +102,7 @@ def _matrix(graph) -> tuple[tuple, np.ndarray]:
 
 def _in_order(names: Iterable) -> tuple:
     """Return names in their order; numbers as they count, however edges were listed."""
-    return tuple(sorted(names) if all(isinstance(name, int) for name in names) else names)
+    return tuple(sorted(names) if all(isinstance(name, Integral) for name in names) else names)
 
 
 def _linked(adjacency: np.ndarray) -> np.ndarray:
@@ -140,6 +141,8 @@ def graphs_in_time(graph, require_connected: bool) -> tuple[tuple, list[TeamGrap
         may_lead = present
         if require_connected:
             may_lead = np.logical_and.reduce(_linked(adjacency)[present])
+        for flags in (present, may_lead):  # policies read them
+            flags.setflags(write=False)
         changes.append(TeamGraph(t, adjacency, present, may_lead))
     return names, changes
 
