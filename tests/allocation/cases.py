@@ -52,6 +52,15 @@ def drawn_model(rng, human, robot, betas=(0.3, 0.95), spans=((0.02, 0.5), (0.1, 
     return tl.TscModel(tl.RobotModel(1 - 10 ** rng.uniform(*robot), r_min, r_max, h_max), operator)
 
 
+def settled(model, lower, upper, steps=60_000, **start):
+    """The second half of a run, transients gone."""
+    return tl.simulate_allocation(model, lower, upper, steps, **start).iloc[steps // 2 :]
+
+
+def encloses_beta(run, model):
+    return run["r"].min() <= model.human.beta <= run["r"].max()
+
+
 def phases(mode):
     """Modes of the whole phases of a run, and their lengths."""
     mode = np.asarray(mode)

@@ -170,7 +170,6 @@ def test_at_rest_and_at_full_load_the_plan_is_finite():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"extra_cost": lambda x, u: 0.0}, "CasADi symbols"),
         ({"extra_cost": lambda x, u, k: casadi.MX.sym("own")}, "their arguments alone"),
         ({"extra_cost": lambda x, u, k: u}, "one number"),
     ],

@@ -118,11 +118,9 @@ def extreme(rng):
         )
         r_min = rng.uniform(0.01, 0.4)
         r_max = r_min * (1 + 10 ** rng.uniform(-1.5, 1))
-        b = None if rng.random() < 0.5 else rng.uniform(0.5, 1.5)
         robot = tl.RobotModel(1 - 10 ** rng.uniform(-2.7, -1.5), r_min, r_max, human.p_max)
-        robot = (
-            robot if b is None else tl.RobotModel(robot.a, r_min, r_max, human.p_max, b=b * robot.b)
-        )
+        if rng.random() < 0.5:
+            robot = dataclasses.replace(robot, b=rng.uniform(0.5, 1.5) * robot.b)
         model = tl.TscModel(robot, human)
         limits = threshold_limits(model, 0.0)
         if limits.feasible:

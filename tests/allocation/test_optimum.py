@@ -12,9 +12,8 @@ import pytest
 from scipy import integrate
 
 import trustlab as tl
+from tests.allocation.cases import settled
 from trustlab.allocation.optimum import certificate
-
-NAMES = ("pilot", "1", "2", "3", "4", "5")
 
 
 def earned(tsc, run, weight):
@@ -22,6 +21,11 @@ def earned(tsc, run, weight):
     of_robot = tl.relative_performance(run["p_r"], tsc.robot.p_min, tsc.robot.p_max)
     of_human = tl.relative_performance(run["p_h"], tsc.human.p_min, tsc.human.p_max)
     return weight * of_robot + (1.0 - weight) * of_human
+
+
+def repeated(manual, autonomous, samples):
+    """Modes of a pattern, over and over."""
+    return np.resize(np.repeat([1.0, 0.0], [manual, autonomous]), samples)
 
 
 def value_iteration(tsc, weight, step=20, sizes=(161, 41), sweeps=1500):
@@ -61,7 +65,7 @@ def value_iteration(tsc, weight, step=20, sizes=(161, 41), sweeps=1500):
     return low, high
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["pilot", "1", "2", "3", "4", "5"])
 def test_the_printed_models_are_certified(operators, name):
     tsc = operators[name]
     for weight in (0.5, 1.0):
@@ -90,7 +94,7 @@ def test_value_iteration_agrees(operators, name, weight):
 def test_control_what_holding_the_best_utilization_earns_comes_near_the_bound(operators):
     """A bound that is a point lower is exceeded."""
     tsc = operators["2"]
-    run = tsc.simulate(np.resize(np.repeat([1.0, 0.0], [35, 4]), 120_000), 0.9).iloc[20_000:]
+    run = tsc.simulate(repeated(35, 4, 120_000), 0.9).iloc[20_000:]
     assert earned(tsc, run, 0.5) > certificate(tsc, 0.5, 1.0)[0] - 1.0
 
 
@@ -99,19 +103,19 @@ def test_a_pattern_is_what_simulation_says_and_none_is_better(operators):
     best = tl.optimal_allocation(tsc, weight=0.5, min_dwell=15.0)
     manual, autonomous = best.pattern
     assert min(best.pattern) >= 150
-    mode = np.resize(np.repeat([1.0, 0.0], [manual, autonomous]), 40 * (manual + autonomous))
-    run = tsc.simulate(mode, 0.8).iloc[-10 * (manual + autonomous) :]
+    period = sum(best.pattern)
+    run = tsc.simulate(repeated(*best.pattern, 40 * period), 0.8).iloc[-10 * period :]
     assert earned(tsc, run, 0.5) == pytest.approx(best.value, abs=1e-3)
     assert run["r"].mean() == pytest.approx(best.mean_r, abs=1e-4)
     assert run["p_r"].mean() == pytest.approx(best.mean_p_r, abs=1e-5)
-    for first, second in ((150, 150), (manual + 60, autonomous), (manual, autonomous + 10)):
-        mode = np.resize(np.repeat([1.0, 0.0], [first, second]), 60_000)
-        assert earned(tsc, tsc.simulate(mode, 0.8).iloc[-20_000:], 0.5) < best.value + 0.05
+    for other in ((150, 150), (manual + 60, autonomous), (manual, autonomous + 10)):
+        worse = tsc.simulate(repeated(*other, 60_000), 0.8).iloc[-20_000:]
+        assert earned(tsc, worse, 0.5) < best.value + 0.05
     lower, upper = best.thresholds
     cycle = tl.limit_cycle(tsc, lower, upper)
     assert min(cycle.dwell_manual[0], cycle.dwell_autonomous[0]) >= 149
     assert best.threshold_value <= best.upper_bound
-    run = tl.simulate_allocation(tsc, lower, upper, 90_000, r0=0.8).iloc[40_000:]
+    run = settled(tsc, lower, upper, 90_000, r0=0.8)
     assert earned(tsc, run, 0.5) == pytest.approx(best.threshold_value, abs=0.3)
 
 
@@ -126,8 +130,7 @@ def test_no_phase_is_shorter_than_the_least_dwell_time_between_two_samples(opera
 
 def test_a_pattern_may_need_longer_phases_than_forty_least_ones(operators):
     best = tl.optimal_allocation(operators["1"], weight=1.0, min_dwell=15.0)
-    mode = np.resize(np.repeat([1.0, 0.0], [10_000, 150]), 121_800)
-    run = operators["1"].simulate(mode, 0.8).iloc[-40_600:]
+    run = operators["1"].simulate(repeated(10_000, 150, 121_800), 0.8).iloc[-40_600:]
     assert best.value > earned(operators["1"], run, 1.0) - 0.05
 
 
@@ -135,7 +138,7 @@ def test_a_pattern_may_need_longer_phases_than_forty_least_ones(operators):
 def test_the_best_thresholds_may_lie_beyond_the_limits_of_theorem_1(operators, name, pair):
     """None were tried there; these earn more than a point more than any within."""
     best = tl.optimal_allocation(operators[name], weight=1.0, min_dwell=0.0)
-    run = tl.simulate_allocation(operators[name], *pair, 60_000, r0=0.9).iloc[-40_000:]
+    run = settled(operators[name], *pair, r0=0.9)
     assert best.threshold_value > earned(operators[name], run, 1.0) - 0.05
     assert best.thresholds[1] > tl.threshold_limits(operators[name]).upper
 
@@ -221,8 +224,7 @@ def test_no_random_pattern_exceeds_the_certificate(random_model, count):
     for _ in range(count):
         tsc, _, _ = random_model(rng)
         weight, manual, autonomous = rng.random(), *rng.integers(1, 800, 2)
-        mode = np.resize(np.repeat([1.0, 0.0], [manual, autonomous]), 200 * (manual + autonomous))
-        size = max(20 * (manual + autonomous), 20_000) // (manual + autonomous)
-        run = tsc.simulate(mode[: 2 * size * (manual + autonomous)], rng.random())
-        last = run.iloc[-10 * (manual + autonomous) :]
+        period = manual + autonomous
+        run = tsc.simulate(repeated(manual, autonomous, 40 * period + 20_000), rng.random())
+        last = run.iloc[-10 * period :]
         assert earned(tsc, last, weight) <= certificate(tsc, weight, 1.0)[0] + 1e-3
