@@ -3,7 +3,6 @@ Correction of thresholds: clipping written out, random plans, and properties of 
 """
 
 import pickle
-import warnings
 
 import numpy as np
 import pytest
@@ -177,6 +176,7 @@ def test_incentive_bounds_at_the_corners_take_rounding_and_nothing_more():
             tl.incentive_bounds(r, p_r, 1.0, PILOT)
 
 
+@pytest.mark.filterwarnings("error")
 def test_targets_outside_the_limits():
     limits = tl.threshold_limits(SECOND, None)
     with pytest.raises(ValueError, match=f"{limits.upper:.4f}.*does not keep switching"):
@@ -185,9 +185,7 @@ def test_targets_outside_the_limits():
         tl.ThresholdCorrector(SECOND, (-0.9, 0.3))
     with pytest.warns(TargetWarning, match=r"-0\.1170 and TSC_ub = 0\.1170"):
         tl.ThresholdCorrector(PILOT, TARGET)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        tl.ThresholdCorrector(SECOND, (0.05, 0.4))
+    tl.ThresholdCorrector(SECOND, (0.05, 0.4))
 
 
 def test_bad_input_is_refused_and_rounding_of_performance_forgiven():

@@ -5,7 +5,6 @@ Oracles: `limit_cycle` of single draws; the people that the logs were made of.
 """
 
 import itertools
-import warnings
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
@@ -164,15 +163,14 @@ def switches_around_beta(tsc, lower, upper):
 
 
 @pytest.mark.long
+@pytest.mark.filterwarnings("ignore::UserWarning")
 def test_200_people_keep_switching_as_often_as_is_stated():
     """People drawn from the prior, each known by ten minutes, whether or not a pair is offered."""
     stated, kept = [], []
     for number in range(200):
         session, theta = simulated_logs.drawn_case(np.random.default_rng([45, number]), "white")
         posterior = tl.sample_posterior(session, n=120)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            choice = tl.choose_thresholds(posterior, points=8)
+        choice = tl.choose_thresholds(posterior, points=8)
         if not np.isnan(choice.probability):
             stated.append(choice.probability)
             person = simulated_logs.model_of(theta)[0]

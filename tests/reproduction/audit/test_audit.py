@@ -216,7 +216,6 @@ def test_a_gain_that_breaks_its_equation_is_no_excuse_but_is_named(verdicts):
 def test_impossible_numbers_differ():
     changes = {
         "uav.utilization/anova.F": "9.9",  # means and SDs leave 10.26 and more
-        "uav.utilization/sd.C5": "0.250",  # a share of mean 0.95 has at most 0.231
         "uav.followed/t_test.t": "1.9",
         "teleop.tlx/pairs.M-TMIG": "0.045",  # 6 p at a correlation of −1 is 0.015
         "uav.trust/mean.C5": "7.264",  # rated from 1 to 7
@@ -244,6 +243,7 @@ def test_impossible_numbers_differ():
 
 
 def test_a_contradiction_of_a_study_is_a_verdict():
+    # A share of mean 0.95 has at most 0.231.
     row = audit({"uav.utilization/sd.C5": "0.250"}).set_index("id").loc["uav.utilization/sd.C5"]
     assert row["verdict"] == "differs"
     assert row["reason"].startswith("Impossible: sd.C5 = 0.250 must lie between 0 and 0.2")
