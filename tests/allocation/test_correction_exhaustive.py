@@ -14,7 +14,7 @@ import casadi
 import numpy as np
 import pytest
 
-from tests.allocation.cases import drawn_model, shape
+from tests.allocation.cases import curve, drawn_model
 from trustlab.allocation.correction import follow
 
 
@@ -36,30 +36,24 @@ def instance(rng):
     return tsc, r, p_r, lower, upper, mode, *targets, c_b
 
 
-def curve(tsc, r):
-    """(2.6), written out."""
-    h = tsc.human
-    return h.p_min + (h.p_max - h.p_min) * (shape(r, h.beta) if 0 < r < 1 else 0.0)
-
-
 def exhaustive(case, n):
     """
     Least cost over all sequences of modes, inequalities closed; and how many sequences are
     possible.
     """
     tsc, r0, p0, l0, u0, before, tl, tu, c_b = case
-    value = tsc.a_T * p0 - tsc.b_T * curve(tsc, r0)
+    robot, human = tsc.robot, tsc.human
+    value = tsc.a_T * p0 - tsc.b_T * curve(human, r0)
     first = 0 if value >= u0 else 1 if value <= l0 else before
     best, possible = math.inf, 0
     ends_l, ends_u = sorted((l0, tl)), sorted((u0, tu))
-    robot, human = tsc.robot, tsc.human
     step = np.eye(n + 1)[1:] - np.eye(n + 1)[:-1]
     for rest in itertools.product((0, 1), repeat=n - 1):
         modes = (first, *rest)
         r, p = [r0], [p0]
         for m in modes:
             p.append(
-                robot.a * p[-1] + (1 - robot.a) * robot.p_min + m * robot.b * curve(tsc, r[-1])
+                robot.a * p[-1] + (1 - robot.a) * robot.p_min + m * robot.b * curve(human, r[-1])
             )
             r.append(human.a * r[-1] + (1 - human.a) * m)
         share = (np.array(p) - robot.p_min) / (robot.p_max - robot.p_min)
@@ -70,7 +64,7 @@ def exhaustive(case, n):
         least[0] = most[0] = l0
         least[n + 1] = most[n + 1] = u0
         for k in range(1, n):
-            value = tsc.a_T * p[k] - tsc.b_T * curve(tsc, r[k])
+            value = tsc.a_T * p[k] - tsc.b_T * curve(human, r[k])
             if modes[k - 1] == 1:
                 i = n + 1 + k
                 if modes[k] == 0:

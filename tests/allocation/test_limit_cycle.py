@@ -24,9 +24,9 @@ def from_anywhere(model, lower, upper, seed):
 
 @pytest.mark.parametrize("name", ["1", "2", "3", "4", "5"])
 def test_printed_participants(operators, name):
-    lower, upper = published_table("2.2").loc[["TSC_l", "TSC_u"], name].astype(float)
-    cycle = limit_cycle(operators[name], lower, upper)
-    run = from_anywhere(operators[name], lower, upper, 0)
+    pair = published_table("2.2").loc[["TSC_l", "TSC_u"], name].astype(float)
+    cycle = limit_cycle(operators[name], *pair)
+    run = from_anywhere(operators[name], *pair, 0)
     assert cycle.exists
     assert cycle.always
     for key in ("r", "p_r", "tsc"):
@@ -51,16 +51,16 @@ def test_random_sets(random_model, seeds):
     """
     alike = near = 0
     for seed in seeds:
-        model, lower, upper = random_model(np.random.default_rng([17, seed]))
-        cycle = limit_cycle(model, lower, upper)
-        run = from_anywhere(model, lower, upper, seed)
+        case = random_model(np.random.default_rng([17, seed]))
+        cycle = limit_cycle(*case)
+        run = from_anywhere(*case, seed)
         apart = 0.0
         for key in ("r", "p_r", "tsc"):
             low, high = getattr(cycle, f"{key}_low"), getattr(cycle, f"{key}_high")
             step = run[key].diff().abs().max()
             apart = max(apart, abs(run[key].min() - low) / step, abs(run[key].max() - high) / step)
         if apart > 1e-3:
-            bounds = tl.invariant_bounds(model, lower, upper, cells=32)
+            bounds = tl.invariant_bounds(*case, cells=32)
             assert bounds.r_low <= run["r"].min(), seed
             assert run["r"].max() <= bounds.r_high, seed
         else:
@@ -101,9 +101,9 @@ def test_a_quick_operator_s_utilization_repeats_before_performance_does():
     robot = tl.RobotModel(0.9980992372861659, 0.12043107813136816, 0.41828420499603064, p_h_max)
     human = tl.HumanModel(0.7770856095253732, 0.6176696259230177, 0.25891627050290766, p_h_max)
     model = tl.TscModel(robot, human)
-    lower, upper = 0.40749046230221386, 0.4255255879747638
-    cycle = limit_cycle(model, lower, upper)
-    run = from_anywhere(model, lower, upper, 0)
+    pair = 0.40749046230221386, 0.4255255879747638
+    cycle = limit_cycle(model, *pair)
+    run = from_anywhere(model, *pair, 0)
     assert run["r"].max() > 0.91
     assert cycle.r_high == pytest.approx(run["r"].max(), abs=1e-9)
     assert cycle.r_low == pytest.approx(run["r"].min(), abs=1e-9)

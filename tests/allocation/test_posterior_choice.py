@@ -4,7 +4,6 @@ Thresholds and motions under a posterior.
 Oracles: `limit_cycle` of single draws; the people that the logs were made of.
 """
 
-import itertools
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from tests.allocation.cases import encloses_beta, settled, written_out
+from tests.allocation.cases import encloses_beta, settled
 from tests.identification.posterior import simulated_logs
 from trustlab.allocation import thresholds
 
@@ -157,9 +156,8 @@ def test_objectives_of_a_model(operators):
 def switches_around_beta(tsc, lower, upper):
     """Whether a person does so from r = .6, once 100 time constants have passed."""
     count = round(100.0 / (1.0 - max(tsc.human.a, tsc.robot.a)))
-    motion = written_out(tsc, (lower, upper), 0.6, tsc.robot.p_min, 1)
-    loads, _, _, modes = zip(*itertools.islice(motion, count, 2 * count), strict=True)
-    return len(set(modes)) == 2 and min(loads) <= tsc.human.beta <= max(loads)
+    run = settled(tsc, lower, upper, 2 * count, r0=0.6)
+    return run["mode"].nunique() == 2 and encloses_beta(run, tsc)
 
 
 @pytest.mark.long
