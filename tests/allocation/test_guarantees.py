@@ -45,13 +45,12 @@ def brute_force(cases):
         r, h = model.robot, model.human
         robot, human = (r.a, r.b, r.p_min, r.p_max), (h.a, h.beta, h.p_min, h.p_max)
         rows.append((*robot, *human, *weights(model), lower, upper))
-    table = np.repeat(np.array(rows).T[:, :, None], len(STARTS), axis=2)
+    # A row for each case, a column for each start.
+    table = np.transpose(rows)[..., None]
     a, b, p_low, p_high, a_r, beta, h_low, h_high, a_T, b_T, lower, upper = table
-    load, share, mode = (
-        np.broadcast_to(column, a.shape).copy() for column in np.array(STARTS).T[:, None, :]
-    )
-    p_r, last = p_low + share * (p_high - p_low), np.zeros((2, *a.shape))
-    ranges = [np.full(a.shape, end) for end in (np.inf, -np.inf, np.inf, -np.inf)]
+    load, share, mode = np.tile(np.transpose(STARTS)[:, None], (len(cases), 1))
+    p_r, last = p_low + share * (p_high - p_low), np.zeros((2, *load.shape))
+    ranges = [np.full(load.shape, end) for end in (np.inf, -np.inf, np.inf, -np.inf)]
     for k in range(STEPS):
         p_h = h_low + (h_high - h_low) * shape(load, beta)
         tsc = a_T * p_r - b_T * p_h
