@@ -1,10 +1,11 @@
 """
 Bounds: Theorem 1 with its lemmas, Theorem 2 as printed and on arrays, against what is simulated.
 
-Oracles: numbers of Tables 2.1 and 2.2; exact fractions and scalar loops written out here.
+Oracles: numbers of Tables 2.1 and 2.2; the equations written out here.
 """
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
@@ -24,38 +25,32 @@ from trustlab.reproduction.printed import half_unit
 # --- bounds as printed ----------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def printed():
-    """Table 2.1 and 2.2 as numbers, with the models that have the printed, rounded b_pr."""
-    one, two = published_table("2.1").astype(float), published_table("2.2").astype(float)
-    models = {}
-    for name in one.columns:
-        p = one[name]
-        robot = tl.RobotModel(p["a_pr"], p["P_r_min"], p["P_r_max"], p["P_h_max"], b=p["b_pr"])
-        human = tl.HumanModel(p["a_r"], p["beta"], p["P_h_min"], p["P_h_max"])
-        models[name] = tl.TscModel(robot, human)
-    return one, two, models
+def with_printed_gain(name):
+    """The model of a participant with the printed, rounded b_pr."""
+    tsc = tl.published_models()[name]
+    gain = float(published_table("2.1").loc["b_pr", name])
+    return tl.TscModel(replace(tsc.robot, b=gain), tsc.human)
 
 
 @pytest.mark.parametrize("name", ["2", "4"])
-def test_limits_are_the_printed_ones(printed, name):
-    one, _, models = printed
-    limits = threshold_limits(models[name], one.loc["delta_P_h", name])
-    assert limits.lower == pytest.approx(one.loc["TSC_lb", name], abs=0.0006)
-    assert limits.upper == pytest.approx(one.loc["TSC_ub", name], abs=0.0006)
+def test_limits_are_the_printed_ones(name):
+    p = published_table("2.1")[name].astype(float)
+    limits = threshold_limits(with_printed_gain(name), p["delta_P_h"])
+    assert limits.lower == pytest.approx(p["TSC_lb"], abs=0.0006)
+    assert limits.upper == pytest.approx(p["TSC_ub"], abs=0.0006)
 
 
 @pytest.mark.parametrize("name", ["2", "4", "5"])
-def test_bounds_are_those_of_table_2_2(printed, name):
+def test_bounds_are_those_of_table_2_2(name):
     """
     One unit of the last digit, but for participant 4's r_l: 0.5886 against 0.587, within the
     rounding of the inputs.
     """
-    one, two, models = printed
-    rows, p = ["P_rl", "P_ru", "r_l", "r_u"], two[name]
-    bounds = steady_state_bounds(models[name], p["TSC_l"], p["TSC_u"], one.loc["delta_TSC", name])
+    printed, rows = published_table("2.2")[name], ["P_rl", "P_ru", "r_l", "r_u"]
+    p, delta_tsc = printed.astype(float), float(published_table("2.1").loc["delta_TSC", name])
+    bounds = steady_state_bounds(with_printed_gain(name), p["TSC_l"], p["TSC_u"], delta_tsc)
     found = np.array([bounds.p_r_low, bounds.p_r_high, bounds.r_low, bounds.r_high])
-    units = [2.0 * half_unit(text) for text in published_table("2.2").loc[rows, name]]
+    units = [2.0 * half_unit(text) for text in printed[rows]]
     off = np.abs(found - p[rows]) / units
     if name == "4":
         assert off.pop("r_l") == pytest.approx(1.574, abs=0.001)

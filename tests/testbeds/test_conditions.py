@@ -129,7 +129,6 @@ def test_a_rule_decides_from_what_is_measured(bed):
     assert rule.calls == 0
     assert np.count_nonzero(np.diff(modes)) >= 2
     assert log.metadata.condition == "rule Relay"
-    assert log.metadata.synthetic
     assert run.measures["followed_percent"] == 100.0
     if bed.name == "ground_robot":  # these modes, driven as given, give the same log
         again = drive_modes(np.array(modes), published_operator(2), seed=3)

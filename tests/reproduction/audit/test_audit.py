@@ -50,8 +50,7 @@ SLIPS = {
     "figure_2_18/TSC_ud",
     "section_3_8_3/MI_tlx",
     "appendix_a/state/x_damping",
-    *(f"uav.{name}/n" for name in ("robot_performance", "utilization", "human_performance", "tlx")),
-    *(f"uav.{name}/n" for name in ("satisfaction", "trust", "followed")),
+    *(f"{name}/n" for name in tl.published_studies() if name.startswith("uav.")),
     "section_2_2_2/weights",
     "section_2_4_2/Z_Ph",
     "appendix_a/pd/p_xy/stable",
@@ -120,18 +119,14 @@ def hand(verdicts, id, value, rel=1e-9):
     return verdicts.loc[id, "verdict"]
 
 
-def gain_and_bias(p):
-    t = tl.published_table("2.1")[p]
-    low, high, least, most = (Fraction(t[k]) for k in ("P_r_min", "P_r_max", "P_h_min", "P_h_max"))
-    scale = high * most - low * least
-    return (most + least) / scale, (high + low) / scale, t
-
-
 @pytest.mark.parametrize("p", ["1", "2", "3", "4", "5"])
 def test_delta_tsc_by_hand(verdicts, p):
     """What is printed for three participants is the difference, to its last digit."""
     verdict = "reproduced" if p in "13" else "differs"
-    a_t, b_t, t = gain_and_bias(p)
+    t = tl.published_table("2.1")[p]
+    low, high, least, most = (Fraction(t[k]) for k in ("P_r_min", "P_r_max", "P_h_min", "P_h_max"))
+    scale = high * most - low * least
+    a_t, b_t = (most + least) / scale, (high + low) / scale
     robot, human = a_t * Fraction(t["delta_P_r"]), b_t * Fraction(t["delta_P_h"])
     assert hand(verdicts, f"table_2.1/delta_TSC/{p}", robot + human) == verdict
     assert (f"{float(robot - human):.4f}" == t["delta_TSC"]) == (verdict == "differs")
