@@ -104,6 +104,7 @@ def test_assumptions_enter_the_studies_that_they_are_about():
         ({"assumptions": {"fatigue_of_hand": 0.3}, "only": "table_2.6"}, "'attention_cost'"),
         ({"assumptions": {"attention_cost": 0.2}, "only": "table_3.1"}, "'fatigue_of_hand'"),
         ({"trust": tl.trust.MODELS["beta"](), "only": "table_2.6"}, "trust has no effect"),
+        ({"trust": "nonsense", "only": "table_3.1"}, "trust must be of class TrustInLoop"),
     ],
 )
 def test_what_has_no_effect_on_the_chosen_studies_is_refused(arguments, message):
