@@ -23,14 +23,10 @@ from trustlab.allocation.estimates import _apart
 from trustlab.reproduction import published_table
 
 
-@pytest.fixture(scope="module")
-def choice(operators):
-    return choose_thresholds(operators["2"], points=12)
-
-
-def test_choice_encloses_beta_and_comes_near_the_best_performance(operators, choice):
-    model, cycle = operators["2"], choice.cycle
-    assert cycle.r_low <= model.human.beta <= cycle.r_high
+def test_choice_encloses_beta_and_comes_near_the_best_performance(operators):
+    choice = choose_thresholds(operators["2"], points=12)
+    cycle = choice.cycle
+    assert cycle.r_low <= operators["2"].human.beta <= cycle.r_high
     assert choice.probability == 1.0
     inside = choice.candidates[choice.candidates["p_encloses"] == 1.0]
     assert cycle.p_r_high == pytest.approx(inside["p_r_high"].max(), abs=1e-4)

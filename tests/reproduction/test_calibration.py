@@ -14,7 +14,6 @@ from trustlab.reproduction import read_calibration, write_calibration
 from trustlab.reproduction.calibration import Calibration, observed_effects, posterior_sample
 
 RANGES = {"a": (0.0, 1.0), "b": (-1.0, 1.0), "c": (0.0, 2.0)}
-TWO = {"attention_cost": (0.0, 0.3), "r0": (0.0, 1.0)}
 
 
 def test_residuals_are_those_of_leaving_each_simulation_out():
@@ -60,7 +59,8 @@ def test_intervals_cover_where_plain_residuals_do_not():
 
 
 def test_a_calibration_grows_in_its_folder_and_is_read_again(tmp_path):
-    arguments = {"study": "table_2.6", "n": 5, "priors": TWO, "n_jobs": 1}
+    priors = {"attention_cost": (0.0, 0.3), "r0": (0.0, 1.0)}
+    arguments = {"study": "table_2.6", "n": 5, "priors": priors, "n_jobs": 1}
     arguments["out"] = tmp_path / "campaign"
     first = tl.calibrate(simulations=12, **arguments)
     kept = sorted((tmp_path / "campaign").rglob("runs-*.json"))
