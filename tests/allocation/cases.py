@@ -16,6 +16,12 @@ def shape(r, beta):
     return (r / beta) ** beta * ((1 - r) / (1 - beta)) ** (1 - beta)
 
 
+def curve(human, r):
+    """(2.6) at one utilization."""
+    share = shape(r, human.beta) if 0.0 < r < 1.0 else 0.0
+    return human.p_min + (human.p_max - human.p_min) * share
+
+
 def weights(model):
     """a_T and b_T of (2.2)."""
     r, h = model.robot, model.human
@@ -30,8 +36,7 @@ def written_out(model, pair, r, p_r, mode):
     """
     robot, human, (a_T, b_T) = model.robot, model.human, weights(model)
     while True:
-        share = shape(r, human.beta) if 0.0 < r < 1.0 else 0.0
-        p_h = human.p_min + (human.p_max - human.p_min) * share
+        p_h = curve(human, r)
         tsc = a_T * p_r - b_T * p_h
         mode = 0 if tsc >= pair[1] else 1 if tsc <= pair[0] else mode
         yield r, p_r, tsc, mode
@@ -50,6 +55,15 @@ def drawn_model(rng, human, robot, betas=(0.3, 0.95), spans=((0.02, 0.5), (0.1, 
     )
     operator = tl.HumanModel(1 - 10 ** rng.uniform(*human), rng.uniform(*betas), h_min, h_max)
     return tl.TscModel(tl.RobotModel(1 - 10 ** rng.uniform(*robot), r_min, r_max, h_max), operator)
+
+
+def settled(model, lower, upper, steps=60_000, **start):
+    """The second half of a run, transients gone."""
+    return tl.simulate_allocation(model, lower, upper, steps, **start).iloc[steps // 2 :]
+
+
+def encloses_beta(run, model):
+    return run["r"].min() <= model.human.beta <= run["r"].max()
 
 
 def phases(mode):

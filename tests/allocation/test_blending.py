@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 
 from trustlab.allocation.blending import OptimalBlending
 
-SETTINGS = settings(max_examples=40, deadline=None, derandomize=True)
 ZERO = np.zeros(3)
 
 
@@ -58,7 +57,7 @@ def test_cost_is_that_of_the_printed_equations(seed):
         assert cost(OptimalBlending(), alpha, now) == pytest.approx(expected, rel=1e-8)
 
 
-@SETTINGS
+@settings(max_examples=40)
 @given(st.integers(0, 100_000), st.floats(0.0, 0.8))
 def test_share_is_the_global_minimum(seed, low):
     blending, now = OptimalBlending(alpha_min=low), situation(seed)

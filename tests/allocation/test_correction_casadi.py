@@ -108,20 +108,6 @@ def test_a_state_from_which_a_step_never_returned_is_solved_or_held_in_time():
     assert plan.status in ("planned", "held")
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"limit": 1e-6}, "longer than limit = 1e-06 s"),
-        ({"extra_cost": lambda x, u, k: casadi.log(-x[0])}, "no plan has a finite cost"),
-    ],
-)
-def test_without_a_plan_the_thresholds_are_held(options, words):
-    plan = engine(60, **options).step(*FAR)
-    assert (plan.status, plan.c_l, plan.c_u) == ("held", 0.0, 0.0)
-    assert words in plan.message
-    assert plan.table()["lower"][0] == FAR[2]
-
-
 class Fails(casadi.Callback):
     """A function of the user's that CasADi can differentiate, but not evaluate."""
 
@@ -133,23 +119,22 @@ class Fails(casadi.Callback):
         raise ValueError("no such cost")
 
 
-def test_a_cost_that_raises_on_the_way_holds_the_thresholds():
-    fails = Fails()
-    plan = engine(10, extra_cost=lambda x, u, k: fails(x[0])).step(*FAR)
+FAILS = Fails()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"limit": 1e-6}, "longer than limit = 1e-06 s"),
+        ({"extra_cost": lambda x, u, k: casadi.log(-x[0])}, "no plan has a finite cost"),
+        ({"extra_cost": lambda x, u, k: FAILS(x[0])}, "no such cost"),
+    ],
+)
+def test_without_a_plan_the_thresholds_are_held(options, words):
+    plan = engine(60, **options).step(*FAR)
     assert (plan.status, plan.c_l, plan.c_u) == ("held", 0.0, 0.0)
-    assert "no such cost" in plan.message
-
-
-def test_a_solver_that_raises_holds_the_thresholds(monkeypatch):
-    ours = engine(12)
-
-    def raises(**_):
-        raise RuntimeError("Error in solver\nlinear solver is missing")
-
-    monkeypatch.setattr(ours.program, "_solver", raises)
-    plan = ours.step(*FAR)
-    assert (plan.status, plan.c_l, plan.c_u) == ("held", 0.0, 0.0)
-    assert "linear solver is missing" in plan.message
+    assert words in plan.message
+    assert plan.table()["lower"][0] == FAR[2]
 
 
 def test_a_solver_that_returns_nonsense_is_not_believed(monkeypatch):
@@ -170,7 +155,6 @@ def test_at_rest_and_at_full_load_the_plan_is_finite():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"extra_cost": lambda x, u: 0.0}, "CasADi symbols"),
         ({"extra_cost": lambda x, u, k: casadi.MX.sym("own")}, "their arguments alone"),
         ({"extra_cost": lambda x, u, k: u}, "one number"),
     ],

@@ -14,7 +14,7 @@ import casadi
 import numpy as np
 import pytest
 
-from tests.allocation.cases import drawn_model, shape
+from tests.allocation.cases import curve, drawn_model
 from trustlab.allocation.correction import follow
 
 
@@ -36,59 +36,45 @@ def instance(rng):
     return tsc, r, p_r, lower, upper, mode, *targets, c_b
 
 
-def curve(tsc, r):
-    """(2.6), written out."""
-    h = tsc.human
-    return h.p_min + (h.p_max - h.p_min) * (shape(r, h.beta) if 0 < r < 1 else 0.0)
-
-
 def exhaustive(case, n):
     """
     Least cost over all sequences of modes, inequalities closed; and how many sequences are
     possible.
     """
-    tsc, r0, p0, l0, u0, before, tl, tu, c_b = case
-    value = tsc.a_T * p0 - tsc.b_T * curve(tsc, r0)
+    tsc, r0, p0, l0, u0, before, *target, c_b = case
+    robot, human = tsc.robot, tsc.human
+    value = tsc.a_T * p0 - tsc.b_T * curve(human, r0)
     first = 0 if value >= u0 else 1 if value <= l0 else before
     best, possible = math.inf, 0
-    ends_l, ends_u = sorted((l0, tl)), sorted((u0, tu))
-    robot, human = tsc.robot, tsc.human
+    # Rows: the lower and the upper threshold.
+    start, target = np.array([[l0], [u0]]), np.array(target)[:, None]
     step = np.eye(n + 1)[1:] - np.eye(n + 1)[:-1]
+    A = np.vstack([np.kron(np.eye(2), step), np.kron([-1.0, 1.0], np.eye(n + 1))])
     for rest in itertools.product((0, 1), repeat=n - 1):
         modes = (first, *rest)
         r, p = [r0], [p0]
         for m in modes:
             p.append(
-                robot.a * p[-1] + (1 - robot.a) * robot.p_min + m * robot.b * curve(tsc, r[-1])
+                robot.a * p[-1] + (1 - robot.a) * robot.p_min + m * robot.b * curve(human, r[-1])
             )
             r.append(human.a * r[-1] + (1 - human.a) * m)
         share = (np.array(p) - robot.p_min) / (robot.p_max - robot.p_min)
         high = np.maximum(0.5 * (2 - np.array(r) - share), 0)[:n] * c_b
         low = np.minimum(-0.5 * (np.array(r) + share), 0)[:n] * c_b
-        least = np.r_[np.full(n + 1, ends_l[0]), np.full(n + 1, ends_u[0])]
-        most = np.r_[np.full(n + 1, ends_l[1]), np.full(n + 1, ends_u[1])]
-        least[0] = most[0] = l0
-        least[n + 1] = most[n + 1] = u0
+        least = np.repeat(np.minimum(start, target), n + 1, axis=1)
+        most = np.repeat(np.maximum(start, target), n + 1, axis=1)
+        least[:, :1] = most[:, :1] = start
         for k in range(1, n):
-            value = tsc.a_T * p[k] - tsc.b_T * curve(tsc, r[k])
-            if modes[k - 1] == 1:
-                i = n + 1 + k
-                if modes[k] == 0:
-                    most[i] = min(most[i], value)
-                else:
-                    least[i] = max(least[i], value)
-            elif modes[k] == 1:
-                least[k] = max(least[k], value)
+            value = tsc.a_T * p[k] - tsc.b_T * curve(human, r[k])
+            side = modes[k - 1]  # alone TSC waits for the lower one, under manual control the upper
+            if modes[k] == 0:
+                most[side, k] = min(most[side, k], value)
             else:
-                most[k] = min(most[k], value)
+                least[side, k] = max(least[side, k], value)
         if (least > most).any():
             continue
         # Both thresholds in units of c_b about their targets.
-        centre = np.r_[np.full(n + 1, tl), np.full(n + 1, tu)]
-        zero = np.zeros_like(step)
-        A = np.block([[step, zero], [zero, step], [-np.eye(n + 1), np.eye(n + 1)]])
-        lba = np.r_[low, low, np.full(n + 1, (tl - tu))] / c_b
-        uba = np.r_[high, high, np.full(n + 1, np.inf)] / c_b
+        apart = np.full(n + 1, target[0] - target[1])
         size = 2 * (n + 1)
         solver = casadi.conic(
             "oracle",
@@ -99,27 +85,25 @@ def exhaustive(case, n):
         found = solver(
             h=casadi.DM(casadi.Sparsity.diag(size), 2.0),
             a=A,
-            lba=lba,
-            uba=uba,
-            lbx=(least - centre) / c_b,
-            ubx=(most - centre) / c_b,
+            lba=np.r_[low, low, apart] / c_b,
+            uba=np.r_[high, high, np.full(n + 1, np.inf)] / c_b,
+            lbx=np.ravel(least - target) / c_b,
+            ubx=np.ravel(most - target) / c_b,
         )
         if not solver.stats()["success"]:
             continue
         possible += 1
-        cost = float(found["cost"]) - ((l0 - tl) ** 2 + (u0 - tu) ** 2) / c_b**2
-        best = min(best, cost * c_b**2)
+        best = min(best, float(found["cost"]) * c_b**2 - ((start - target) ** 2).sum())
     return best, possible
 
 
 def planned(case, n):
     """Cost and bound of the clipped plan."""
-    tsc, r, p_r, lower, upper, mode, tl, tu, c_b = case
+    tsc, *state, mode, lower, upper, c_b = case
     path = np.empty((7, n + 1))
-    path[:4, 0] = r, p_r, lower, upper
-    clipped = np.full((2, n), np.nan)
-    target, start = np.array([tl, tu]), np.array([lower, upper])
-    return follow(tsc.constants(), c_b, target, start, mode, clipped, path)
+    path[:4, 0] = state
+    start, target = np.array(state[2:]), np.array([lower, upper])
+    return follow(tsc.constants(), c_b, target, start, mode, np.full((2, n), np.nan), path)
 
 
 @pytest.mark.parametrize("part", range(4))

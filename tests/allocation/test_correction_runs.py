@@ -80,19 +80,14 @@ def test_performance_outside_the_range(corrector):
     assert online(corrector).update(0.35 + 1e-12, 0.38).message == OPTIMAL
 
 
-def test_odd_measurements_are_refused_and_change_nothing(corrector):
+def test_what_is_refused_changes_nothing(corrector):
     loop = online(corrector)
-    for values, words in (
-        (("0.3", 0.38), "p_r"),
-        ((0.3, math.inf), "p_h"),
-        ((0.3, 0.38, np.array([math.nan, 1.0])), "mode"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            loop.update(*values)
+    with pytest.raises(ValueError, match="mode"):
+        loop.update(0.3, 0.38, 2)
     assert (loop.lower, loop.upper, loop.r, len(loop.table())) == (*START, 0.0, 0)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(st.integers(0, 10**6), st.floats(-6, -2), st.booleans())
 def test_closed_loop_keeps_range_order_and_incentives(seed, decade, back):
     """Whatever is measured and whoever drives."""

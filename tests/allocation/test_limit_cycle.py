@@ -8,27 +8,25 @@ import numpy as np
 import pytest
 
 import trustlab as tl
-from tests.allocation.cases import phases, written_out
-from trustlab.allocation import limit_cycle, simulate_allocation, steady
+from tests.allocation.cases import phases, settled, written_out
+from trustlab.allocation import limit_cycle, steady
 from trustlab.allocation.steady import SCREEN, endless_phase, survey
 from trustlab.reproduction import published_table
 
 
-def settled(model, lower, upper, seed):
+def from_anywhere(model, lower, upper, seed):
+    """The steady part of a run from a random start."""
     rng = np.random.default_rng(seed)
-    slow = max(model.human.a, model.robot.a)
-    steps = int(60.0 / (1.0 - slow))
-    run = simulate_allocation(
-        model, lower, upper, 2 * steps, rng.random(), None, int(rng.integers(2))
-    )
-    return run.iloc[steps:]
+    steps = 2 * int(60.0 / (1.0 - max(model.human.a, model.robot.a)))
+    start = {"r0": rng.random(), "mode": int(rng.integers(2))}
+    return settled(model, lower, upper, steps, **start)
 
 
 @pytest.mark.parametrize("name", ["1", "2", "3", "4", "5"])
 def test_printed_participants(operators, name):
-    lower, upper = published_table("2.2").loc[["TSC_l", "TSC_u"], name].astype(float)
-    cycle = limit_cycle(operators[name], lower, upper)
-    run = settled(operators[name], lower, upper, 0)
+    pair = published_table("2.2").loc[["TSC_l", "TSC_u"], name].astype(float)
+    cycle = limit_cycle(operators[name], *pair)
+    run = from_anywhere(operators[name], *pair, 0)
     assert cycle.exists
     assert cycle.always
     for key in ("r", "p_r", "tsc"):
@@ -53,16 +51,16 @@ def test_random_sets(random_model, seeds):
     """
     alike = near = 0
     for seed in seeds:
-        model, lower, upper = random_model(np.random.default_rng([17, seed]))
-        cycle = limit_cycle(model, lower, upper)
-        run = settled(model, lower, upper, seed)
+        case = random_model(np.random.default_rng([17, seed]))
+        cycle = limit_cycle(*case)
+        run = from_anywhere(*case, seed)
         apart = 0.0
         for key in ("r", "p_r", "tsc"):
             low, high = getattr(cycle, f"{key}_low"), getattr(cycle, f"{key}_high")
             step = run[key].diff().abs().max()
             apart = max(apart, abs(run[key].min() - low) / step, abs(run[key].max() - high) / step)
         if apart > 1e-3:
-            bounds = tl.invariant_bounds(model, lower, upper, cells=32)
+            bounds = tl.invariant_bounds(*case, cells=32)
             assert bounds.r_low <= run["r"].min(), seed
             assert run["r"].max() <= bounds.r_high, seed
         else:
@@ -103,9 +101,9 @@ def test_a_quick_operator_s_utilization_repeats_before_performance_does():
     robot = tl.RobotModel(0.9980992372861659, 0.12043107813136816, 0.41828420499603064, p_h_max)
     human = tl.HumanModel(0.7770856095253732, 0.6176696259230177, 0.25891627050290766, p_h_max)
     model = tl.TscModel(robot, human)
-    lower, upper = 0.40749046230221386, 0.4255255879747638
-    cycle = limit_cycle(model, lower, upper)
-    run = settled(model, lower, upper, 0)
+    pair = 0.40749046230221386, 0.4255255879747638
+    cycle = limit_cycle(model, *pair)
+    run = from_anywhere(model, *pair, 0)
     assert run["r"].max() > 0.91
     assert cycle.r_high == pytest.approx(run["r"].max(), abs=1e-9)
     assert cycle.r_low == pytest.approx(run["r"].min(), abs=1e-9)
@@ -137,7 +135,7 @@ def test_coexisting_motions_are_not_one():
     model = tl.TscModel(robot, human)
     cycle = limit_cycle(model, *pair)
     rest, best = (
-        simulate_allocation(model, *pair, 60_000, r0, p_r0).iloc[40_000:]
+        settled(model, *pair, r0=r0, p_r0=p_r0)
         for r0, p_r0 in ((0.0, None), (human.beta, (pair[0] + model.b_T * human.p_max) / model.a_T))
     )
     assert rest["r"].max() < human.beta < best["r"].min()
@@ -153,16 +151,10 @@ def test_a_start_beyond_the_upper_threshold_is_autonomous_at_once():
     """Neither start switches, though others do."""
     robot = tl.RobotModel(a=0.99, p_min=0.8, p_max=1.2, p_h_max=0.6)
     model = tl.TscModel(robot, tl.HumanModel(a=0.8, beta=0.98, p_min=0.3, p_max=0.6))
-    assert simulate_allocation(model, -0.03, 0.12, 50_000)["mode"].iloc[5_000:].nunique() == 1
+    assert settled(model, -0.03, 0.12)["mode"].nunique() == 1
     cycle = limit_cycle(model, -0.03, 0.12)
     assert not cycle.exists
     assert "stays autonomous" in cycle.reason
-
-
-def of_times(human, robot):
-    """A model of these time constants [samples]."""
-    operator = tl.HumanModel(1.0 - 1.0 / human, 0.6, 0.3, 0.5)
-    return tl.TscModel(tl.RobotModel(1.0 - 1.0 / robot, 0.2, 0.4, 0.5), operator)
 
 
 # --- many pairs -----------------------------------------------------------------------------------
@@ -223,7 +215,8 @@ def test_from_where_a_mode_stays_for_ever(operators):
 
 def test_rounding_widens_the_limits_of_a_slow_robot():
     """P_r stalls 1e-12/(1 − a) before its limit, 1e-9 for a = .999."""
-    slow = of_times(500.0, 1000.0)
+    human = tl.HumanModel(1.0 - 1.0 / 500.0, 0.6, 0.3, 0.5)
+    slow = tl.TscModel(tl.RobotModel(1.0 - 1.0 / 1000.0, 0.2, 0.4, 0.5), human)
     rest, load = settles(slow, 0.0, 0.0), settles(slow, 1.0, 1.0)
     assert "from rest" in endless_phase(slow, rest + 0.8e-9, 0.1)
     assert "from rest" not in endless_phase(slow, rest + 1.2e-9, 0.1)

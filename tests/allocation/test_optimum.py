@@ -5,16 +5,16 @@ Oracles: relative value iteration on utilization and robot performance; rules at
 every pattern by simulation; quadrature.
 """
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import integrate
+from scipy import integrate, ndimage
 
 import trustlab as tl
+from tests.allocation.cases import settled
 from trustlab.allocation.optimum import certificate
-
-NAMES = ("pilot", "1", "2", "3", "4", "5")
 
 
 def earned(tsc, run, weight):
@@ -24,35 +24,30 @@ def earned(tsc, run, weight):
     return weight * of_robot + (1.0 - weight) * of_human
 
 
+def repeated(manual, autonomous, samples):
+    """Modes of a pattern, over and over."""
+    return np.resize(np.repeat([1.0, 0.0], [manual, autonomous]), samples)
+
+
 def value_iteration(tsc, weight, step=20, sizes=(161, 41), sweeps=1500):
     """The gain of r and P_r on a grid, linear between, decisions every two seconds."""
     human, robot = tsc.human, tsc.robot
-    r = np.linspace(0.0, 1.0, sizes[0])
-    p = np.linspace(robot.p_min, robot.p_max, sizes[1])
+    span = robot.p_max - robot.p_min
+    # As shares of their ranges.
+    r, p = np.meshgrid(*(np.linspace(0.0, 1.0, size) for size in sizes), indexing="ij")
+    share = (human.performance(r) - human.p_min) / (human.p_max - human.p_min)
+    reward = 100.0 * (weight * p + (1.0 - weight) * share)
     a_r, a_p = human.a**step, robot.a**step
-    p_h = human.performance(r)
-    reward = weight * (p - robot.p_min) / (robot.p_max - robot.p_min)
-    share = (p_h - human.p_min) / (human.p_max - human.p_min)
-    reward = 100.0 * (reward[None, :] + (1.0 - weight) * share[:, None])
-    values = np.zeros(sizes)
     moves = []
     for mode in (0.0, 1.0):
-        to_r = (a_r * r + (1.0 - a_r) * mode) * (sizes[0] - 1)
-        i = np.minimum(to_r.astype(int), sizes[0] - 2)
         # Over the step P_h is that of the utilization halfway.
         middle = human.performance(human.a ** (step / 2) * r + (1 - human.a ** (step / 2)) * mode)
-        goal = robot.p_min + mode * robot.b / (1.0 - robot.a) * middle
-        to_p = a_p * p[None, :] + (1.0 - a_p) * goal[:, None]
-        to_p = (to_p - robot.p_min) / (robot.p_max - robot.p_min) * (sizes[1] - 1)
-        j = np.clip(to_p.astype(int), 0, sizes[1] - 2)
-        moves.append((i[:, None], (to_r - i)[:, None], j, to_p - j))
-    low = high = 0.0
+        rise = mode * robot.b / (1.0 - robot.a) * middle / span
+        to_r, to_p = a_r * r + (1.0 - a_r) * mode, a_p * p + (1.0 - a_p) * rise
+        moves.append([to_r * (sizes[0] - 1), to_p * (sizes[1] - 1)])
+    values = np.zeros(sizes)
     for _ in range(sweeps):
-        after = []
-        for i, u, j, v in moves:
-            below = (1 - v) * values[i, j] + v * values[i, j + 1]
-            above = (1 - v) * values[i + 1, j] + v * values[i + 1, j + 1]
-            after.append((1 - u) * below + u * above)
+        after = [ndimage.map_coordinates(values, to, order=1, mode="nearest") for to in moves]
         new = reward + np.maximum(*after)
         low, high = (new - values).min(), (new - values).max()
         values = new - new[0, 0]
@@ -61,7 +56,7 @@ def value_iteration(tsc, weight, step=20, sizes=(161, 41), sweeps=1500):
     return low, high
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["pilot", "1", "2", "3", "4", "5"])
 def test_the_printed_models_are_certified(operators, name):
     tsc = operators[name]
     for weight in (0.5, 1.0):
@@ -90,7 +85,7 @@ def test_value_iteration_agrees(operators, name, weight):
 def test_control_what_holding_the_best_utilization_earns_comes_near_the_bound(operators):
     """A bound that is a point lower is exceeded."""
     tsc = operators["2"]
-    run = tsc.simulate(np.resize(np.repeat([1.0, 0.0], [35, 4]), 120_000), 0.9).iloc[20_000:]
+    run = tsc.simulate(repeated(35, 4, 120_000), 0.9).iloc[20_000:]
     assert earned(tsc, run, 0.5) > certificate(tsc, 0.5, 1.0)[0] - 1.0
 
 
@@ -99,19 +94,16 @@ def test_a_pattern_is_what_simulation_says_and_none_is_better(operators):
     best = tl.optimal_allocation(tsc, weight=0.5, min_dwell=15.0)
     manual, autonomous = best.pattern
     assert min(best.pattern) >= 150
-    mode = np.resize(np.repeat([1.0, 0.0], [manual, autonomous]), 40 * (manual + autonomous))
-    run = tsc.simulate(mode, 0.8).iloc[-10 * (manual + autonomous) :]
+    period = sum(best.pattern)
+    run = tsc.simulate(repeated(*best.pattern, 40 * period), 0.8).iloc[-10 * period :]
     assert earned(tsc, run, 0.5) == pytest.approx(best.value, abs=1e-3)
     assert run["r"].mean() == pytest.approx(best.mean_r, abs=1e-4)
     assert run["p_r"].mean() == pytest.approx(best.mean_p_r, abs=1e-5)
-    for first, second in ((150, 150), (manual + 60, autonomous), (manual, autonomous + 10)):
-        mode = np.resize(np.repeat([1.0, 0.0], [first, second]), 60_000)
-        assert earned(tsc, tsc.simulate(mode, 0.8).iloc[-20_000:], 0.5) < best.value + 0.05
-    lower, upper = best.thresholds
-    cycle = tl.limit_cycle(tsc, lower, upper)
-    assert min(cycle.dwell_manual[0], cycle.dwell_autonomous[0]) >= 149
+    for other in ((150, 150), (manual + 60, autonomous), (manual, autonomous + 10)):
+        worse = tsc.simulate(repeated(*other, 60_000), 0.8).iloc[-20_000:]
+        assert earned(tsc, worse, 0.5) < best.value + 0.05
     assert best.threshold_value <= best.upper_bound
-    run = tl.simulate_allocation(tsc, lower, upper, 90_000, r0=0.8).iloc[40_000:]
+    run = settled(tsc, *best.thresholds, 90_000, r0=0.8)
     assert earned(tsc, run, 0.5) == pytest.approx(best.threshold_value, abs=0.3)
 
 
@@ -126,8 +118,7 @@ def test_no_phase_is_shorter_than_the_least_dwell_time_between_two_samples(opera
 
 def test_a_pattern_may_need_longer_phases_than_forty_least_ones(operators):
     best = tl.optimal_allocation(operators["1"], weight=1.0, min_dwell=15.0)
-    mode = np.resize(np.repeat([1.0, 0.0], [10_000, 150]), 121_800)
-    run = operators["1"].simulate(mode, 0.8).iloc[-40_600:]
+    run = operators["1"].simulate(repeated(10_000, 150, 121_800), 0.8).iloc[-40_600:]
     assert best.value > earned(operators["1"], run, 1.0) - 0.05
 
 
@@ -135,7 +126,7 @@ def test_a_pattern_may_need_longer_phases_than_forty_least_ones(operators):
 def test_the_best_thresholds_may_lie_beyond_the_limits_of_theorem_1(operators, name, pair):
     """None were tried there; these earn more than a point more than any within."""
     best = tl.optimal_allocation(operators[name], weight=1.0, min_dwell=0.0)
-    run = tl.simulate_allocation(operators[name], *pair, 60_000, r0=0.9).iloc[-40_000:]
+    run = settled(operators[name], *pair, r0=0.9)
     assert best.threshold_value > earned(operators[name], run, 1.0) - 0.05
     assert best.thresholds[1] > tl.threshold_limits(operators[name]).upper
 
@@ -156,26 +147,20 @@ def every_pattern(tsc, weight, longest, limit):
 
     For participant 2, w = 1 and a limit of .492 that is 48.19, by 30 samples manual and 31 alone.
     """
-    robot, human = tsc.robot, tsc.human
+    robot, human, a = tsc.robot, tsc.human, tsc.human.a
+    gain = robot.b / (1.0 - robot.a) / (robot.p_max - robot.p_min)
     best = -np.inf
-    for manual in range(1, longest + 1):
-        autonomous = np.arange(1, longest + 1)
-        autonomous = autonomous[manual <= limit * (manual + autonomous)]
-        if autonomous.size == 0:
+    for manual, autonomous in itertools.product(range(1, longest + 1), repeat=2):
+        if manual > limit * (manual + autonomous):
             continue
-        a = human.a
         begin = (1.0 - a**manual) * a**autonomous / (1.0 - a ** (manual + autonomous))
-        k = np.arange(manual)
-        up = 1.0 - (1.0 - begin[:, None]) * a**k
-        top = 1.0 - (1.0 - begin) * a**manual
-        down = top[:, None] * a ** np.arange(longest)
-        there = np.arange(longest) < autonomous[:, None]
-        driven = human.performance(up).sum(axis=1)
-        all_p_h = driven + np.where(there, human.performance(down), 0.0).sum(axis=1)
-        length = manual + autonomous
-        p_r = robot.b / (1.0 - robot.a) * driven / length / (robot.p_max - robot.p_min)
-        p_h = (all_p_h / length - human.p_min) / (human.p_max - human.p_min)
-        best = max(best, float((100.0 * (weight * p_r + (1.0 - weight) * p_h)).max()))
+        up = 1.0 - (1.0 - begin) * a ** np.arange(manual + 1)
+        down = up[-1] * a ** np.arange(autonomous)
+        driven = human.performance(up[:-1])
+        p_h = np.append(driven, human.performance(down))
+        of_human = (p_h.mean() - human.p_min) / (human.p_max - human.p_min)
+        points = weight * gain * driven.sum() / p_h.size + (1.0 - weight) * of_human
+        best = max(best, 100.0 * points)
     return best
 
 
@@ -221,8 +206,7 @@ def test_no_random_pattern_exceeds_the_certificate(random_model, count):
     for _ in range(count):
         tsc, _, _ = random_model(rng)
         weight, manual, autonomous = rng.random(), *rng.integers(1, 800, 2)
-        mode = np.resize(np.repeat([1.0, 0.0], [manual, autonomous]), 200 * (manual + autonomous))
-        size = max(20 * (manual + autonomous), 20_000) // (manual + autonomous)
-        run = tsc.simulate(mode[: 2 * size * (manual + autonomous)], rng.random())
-        last = run.iloc[-10 * (manual + autonomous) :]
+        period = manual + autonomous
+        run = tsc.simulate(repeated(manual, autonomous, 40 * period + 20_000), rng.random())
+        last = run.iloc[-10 * period :]
         assert earned(tsc, last, weight) <= certificate(tsc, weight, 1.0)[0] + 1e-3

@@ -23,45 +23,46 @@ def stored(request):
     return read_calibration(request.param, DATA)
 
 
-@pytest.mark.parametrize("measures", ["all", "within reach"])
-def test_intervals_cover_simulated_studies(stored, measures):
+@pytest.fixture(params=["all", "within reach"])
+def chosen(stored, request):
+    """The ids of the effects that are used."""
+    measures = (stored if request.param == "all" else stored.within_reach()).measures
+    return list(stored.observed.loc[stored.observed["measure"].isin(measures), "id"])
+
+
+def coverage(places):
+    """How often truths lie in the 95 % and the 50 % interval, from their places in samples."""
+    away = (pd.DataFrame(places) - 0.5).abs()
+    return (away <= 0.475).mean(), (away <= 0.25).mean()
+
+
+def test_intervals_cover_simulated_studies(stored, chosen):
     """Leave-one-out over all stored studies: within 92 to 98 % and 45 to 55 %, each assumption."""
-    calibration = stored if measures == "all" else stored.within_reach()
-    observed = calibration.observed
-    chosen = list(observed.loc[observed["measure"].isin(calibration.measures), "id"])
     drawn, effects = stored.simulations[list(stored.priors)], stored.simulations[chosen].to_numpy()
     places = []
     for i in range(len(drawn)):
         rest = np.arange(len(drawn)) != i
         sample, _ = posterior_sample(drawn[rest], effects[rest], effects[i], stored.priors)
         places.append((sample < drawn.iloc[i]).mean())
-    away = (pd.DataFrame(places) - 0.5).abs()
-    assert (away <= 0.475).mean().between(0.92, 0.98).all()
-    assert (away <= 0.25).mean().between(0.45, 0.55).all()
+    wide, narrow = coverage(places)
+    assert wide.between(0.92, 0.98).all()
+    assert narrow.between(0.45, 0.55).all()
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("measures", ["all", "within reach"])
-def test_intervals_cover_fresh_truths(stored, measures):
+def test_intervals_cover_fresh_truths(stored, chosen):
     """50 studies that are not stored, under assumptions drawn anew; pooled over assumptions."""
-    calibration = stored if measures == "all" else stored.within_reach()
-    observed = calibration.observed
-    chosen = list(observed.loc[observed["measure"].isin(calibration.measures), "id"])
-    table, names = calibration.simulations, list(calibration.priors)
+    drawn, effects = stored.simulations[list(stored.priors)], stored.simulations[chosen].to_numpy()
     places = []
     seeds = np.random.SeedSequence(2026).spawn(50)
-    for draw, seed in zip(prior_draws(calibration.priors, 50, 2026), seeds, strict=True):
-        effects = simulated_study(calibration.study, calibration.settings["n"], seed, **draw)
-        sample, _ = posterior_sample(
-            table[names],
-            table[chosen].to_numpy(float),
-            np.array([effects[id] for id in chosen]),
-            calibration.priors,
-        )
+    for draw, seed in zip(prior_draws(stored.priors, 50, 2026), seeds, strict=True):
+        fresh = simulated_study(stored.study, stored.settings["n"], seed, **draw)
+        observed = np.array([fresh[id] for id in chosen])
+        sample, _ = posterior_sample(drawn, effects, observed, stored.priors)
         places.append((sample < pd.Series(draw)).mean())
-    away = (pd.DataFrame(places) - 0.5).abs()
-    assert 0.92 <= (away <= 0.475).to_numpy().mean() <= 0.98
-    assert 0.45 <= (away <= 0.25).to_numpy().mean() <= 0.55
+    wide, narrow = coverage(places)
+    assert 0.92 <= wide.mean() <= 0.98
+    assert 0.45 <= narrow.mean() <= 0.55
 
 
 def test_a_part_of_the_stored_studies_is_simulated_again(stored):

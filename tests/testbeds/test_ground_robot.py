@@ -23,7 +23,6 @@ from trustlab.testbeds.ground_robot.conditions import drive_modes
 from trustlab.testbeds.ground_robot.course import HALF_WIDTH, RESOLUTION
 from trustlab.testbeds.ground_robot.kernel import locate
 
-SEEDS = range(8)
 SIZES = ["step_distance", "path_error"]
 MANUAL_AUTONOMOUS_MANUAL = np.repeat([1, 0, 1], [4000, 8000, 3000])
 
@@ -36,7 +35,7 @@ def one(operators):
 
 @pytest.fixture(scope="module")
 def sessions(one):
-    return [drive_modes(MANUAL_AUTONOMOUS_MANUAL, one, seed) for seed in SEEDS]
+    return [drive_modes(MANUAL_AUTONOMOUS_MANUAL, one, seed) for seed in range(8)]
 
 
 def level(session, start, stop):

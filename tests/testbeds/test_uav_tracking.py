@@ -17,7 +17,6 @@ from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.teleoperation.loop.settings import (
     STUDIES,
     Guidance,
-    LoopSettings,
     vehicle_matrices,
 )
 from trustlab.teleoperation.ports.waves import Scattering
@@ -247,7 +246,6 @@ def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
 )
 def test_settings_are_those_printed(name, loop, scattering):
     study = STUDIES[name]
-    assert isinstance(study, LoopSettings)
     assert loop == (study.weight, study.damping, study.stiffness, study.k_ffa, study.height)
     ends = study.scattering
     assert scattering == (ends.b, ends.alpha_min, ends.alpha_max, ends.beta_min, ends.beta_max)

@@ -14,17 +14,21 @@ from trustlab.reproduction.audit.consistency import sample_checks
 from trustlab.reproduction.audit.relations import RELATIONS, chi2_of_epsilon, relations
 from trustlab.studies.anova import mauchly_p_value
 
+
+def numbers_of(**texts):
+    return {id: PrintedNumber(id, "Table", id, str(text)) for id, text in texts.items()}
+
+
 positive = st.decimals("0.1", "9.99", places=2)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60)
 @given(positive, positive, positive)
 def test_a_range_holds_every_point_of_the_box(a, b, c):
     def compute(v):
         return (v.a * v.b + v.c) / (v.b + v.c)
 
-    texts = {"a": a, "b": b, "c": c, "x": 1}
-    numbers = {name: number(name, str(text)) for name, text in texts.items()}
+    numbers = numbers_of(a=a, b=b, c=c, x=1)
     follows = Follows("x", "", compute, ids={name: name for name in "abc"})
     value, low, high = follows.range(follows, numbers)
     middle = {name: numbers[name].value for name in "abc"}
@@ -38,18 +42,14 @@ def test_a_range_holds_every_point_of_the_box(a, b, c):
 
 def test_a_formula_that_turns_inside_its_box_reaches_its_least():
     """|a − b| is 0 within the rounding of a and b, and neither in the middle nor at a corner."""
-    numbers = {id: number(id, text) for id, text in {"a": "2.01", "b": "2.0", "x": "0.00"}.items()}
+    numbers = numbers_of(a="2.01", b="2.0", x="0.00")
     ids = {"a": "a", "b": "b"}
     row = Follows("x", "|a − b|", lambda v: abs(v.a - v.b), ids=ids).row(numbers)
     assert row.verdict == "within rounding"
 
 
-def number(id, text):
-    return PrintedNumber(id, "Table", id, text)
-
-
 def verdict(printed, conventions=(), explanations=(), **more):
-    numbers = {id: number(id, text) for id, text in {"a": "2.0", "b": "3.0", "x": printed}.items()}
+    numbers = numbers_of(a="2.0", b="3.0", x=printed)
     more |= {"conventions": conventions, "explanations": explanations}
     product = Follows("x", "a b", lambda v: v.a * v.b, ids={"a": "a", "b": "b"}, **more)
     return product.row(numbers)

@@ -29,17 +29,10 @@ from trustlab.reproduction.reconstruction.contradictions import contradictions
 
 STUDIES = tl.published_studies()
 SEARCH = "trustlab.reproduction.reconstruction.search"
-# For every other adjustment data are found; for these none are, from any start.
+# Studies for which no data are found by an adjustment, from any start; by others they are.
 NOT_FOUND = {
-    "uav.robot_performance": ("holm", "none"),
-    "uav.human_performance": ("none",),
-    "uav.tlx": ("none",),
-    "uav.satisfaction": ("none",),
-    "uav.trust": ("none",),
-    "teleop.tracking_error": ("holm", "none"),
-    "teleop.tlx": ("none",),
-    "teleop.satisfaction": ("none",),
-    "teleop.trust": ("holm", "none"),
+    "holm": {"uav.robot_performance", "teleop.tracking_error", "teleop.trust"},
+    "none": STUDIES.keys() - {"uav.utilization", "uav.followed"},
 }
 
 
@@ -59,7 +52,7 @@ def true_study(seed, readings=(NEITHER, BOTH)):
     values = rng.normal(size=(n, k)) @ (np.eye(k) + 0.6 * rng.normal(size=(k, k)))
     values += 0.8 * rng.normal(size=(n, 1)) * rng.integers(0, 2)
     values += rng.normal(size=k) * rng.uniform(0.0, 1.2)
-    scale = (float("-inf"), float("inf"))
+    scale = (-np.inf, np.inf)
     if rng.random() < 0.4:  # answers on a scale
         values, scale = np.clip(np.round(4.0 + 1.2 * values), 1.0, 7.0), (1.0, 7.0)
         values[:2] = [[1.0], [7.0]]
@@ -130,9 +123,8 @@ def test_data_are_found_for_what_true_data_print(count):
 
 @pytest.mark.parametrize("count", [20, pytest.param(230, marks=pytest.mark.long)])
 def test_a_changed_digit_is_seen(count):
-    studies = filter(
-        lambda study: contradicts(study[0]), map(with_a_changed_digit, itertools.count())
-    )
+    changed = map(with_a_changed_digit, itertools.count())
+    studies = (study for study in changed if contradicts(study[0]))
     answers = [answer_of(*study).feasible for study in itertools.islice(studies, count)]
     assert answers.count(True) <= 0.01 * count
     assert answers.count(False) >= 0.97 * count
@@ -158,7 +150,7 @@ def test_the_printed_studies_are_consistent_with_bonferroni(names, monkeypatch):
     for name in names:
         for p_adjust in ADJUSTMENTS:
             answer = tl.feasibility(STUDIES[name], p_adjust)
-            found = p_adjust not in NOT_FOUND.get(name, ())
+            found = name not in NOT_FOUND.get(p_adjust, ())
             assert answer.rest_feasible is (True if found else None)
             assert answer.feasible is (False if answer.left_out else answer.rest_feasible)
             assert (answer.conflict == ()) == found
@@ -207,37 +199,23 @@ TWO = {"n": 36, "mean": {"A": "5.0", "B": "6.0"}, "sd": {"A": "1.0", "B": "2.0"}
         (THREE, {"anova": {"F": "8.1", "p": "1.2"}}, "anova.p", "must lie between 0 and 1"),
         (THREE, {"anova": {"F": "8.1", "p": "<0"}}, "anova.p", "must lie between 0 and 1"),
         (THREE, {"anova": {"eta2": "1.3"}}, "anova.eta2", "must lie between 0 and 1"),
-        (THREE, {"anova": {"df1": "3"}}, "anova.df1", "must be 2 for 3 conditions"),
         (THREE, {"epsilon": "0.3"}, "epsilon", "must lie between 0.5 and 1"),
         (THREE, {"epsilon": "1.2"}, "epsilon", "must lie between 0.5 and 1"),
         (THREE, {"pairs": {"A-F": "1.2"}}, "pairs.A-F", "must lie between 0 and 1"),
         (THREE, {"mauchly": {"df": "9"}}, "mauchly.df", "must be 2 for 3 conditions"),
-        (THREE, {"mauchly": {"chi2": "-1"}}, "mauchly.chi2", "must be 0 or more$"),
         (THREE, {"mauchly": {"chi2": "9.9", "p": ".5"}}, "mauchly.p", "χ² gives 0.006"),
-        (THREE, {"sd": {"A": "-1", "B": "1", "F": "1"}}, "sd.A", "must be 0 or more$"),
         (THREE, {"anova": {"F": "-3"}}, "anova.F", "must be 0 or more$"),
-        (
-            THREE,
-            {"sd": {"A": "3.5", "B": "1", "F": "1"}, "scale": (1, 7)},
-            "sd.A",
-            "for 20 values from 1 to 7 with mean 5.0",
-        ),
+        (THREE, {"sd": THREE["sd"] | {"A": "-1"}}, "sd.A", "must be 0 or more$"),
         # All but one at 0: at most the mean times √n, 5.05 √20 = 22.6.
         (
             THREE,
-            {"sd": {"A": "23.7", "B": "1", "F": "1"}, "scale": (0, np.inf)},
+            {"sd": THREE["sd"] | {"A": "23.7"}, "scale": (0, np.inf)},
             "sd.A",
             "for 20 values from 0 to inf with mean 5.0",
         ),
         (
             THREE,
-            {"mean": {"A": "8", "B": "4", "F": "3"}, "scale": (1, 7)},
-            "mean.A",
-            "7 on its scale",
-        ),
-        (
-            THREE,
-            {"mean": {"A": ">7", "B": "4", "F": "3"}, "scale": (1, 7)},
+            {"mean": THREE["mean"] | {"A": ">7"}, "scale": (1, 7)},
             "mean.A",
             "7 on its scale",
         ),

@@ -116,16 +116,18 @@ def without_difference(p):
     return tl.PublishedStudy("s", 10, **cells, t_test={"t": "0.00", "p": p})
 
 
-EDGES = [
-    "right or wrong",
-    "means printed equal",
-    "F of 100,000",
-    "3 in 3",
-    "4 in 4",
-    "3 in 5",
-    "4 in 6",
-]
-STUDIES_AT_THE_EDGE = {name: edge(name) for name in EDGES}
+STUDIES_AT_THE_EDGE = {
+    name: edge(name)
+    for name in (
+        "right or wrong",
+        "means printed equal",
+        "F of 100,000",
+        "3 in 3",
+        "4 in 4",
+        "3 in 5",
+        "4 in 6",
+    )
+}
 STUDIES_AT_THE_EDGE |= {f"p = {p}": without_difference(p) for p in ("1.000", ".999", "1", ">.999")}
 
 
