@@ -92,7 +92,7 @@ def several(name):
 
 
 @pytest.mark.parametrize("name", ANALYSES)
-@settings(max_examples=5, deadline=None, derandomize=True)
+@settings(max_examples=5)
 @given(
     seed=st.integers(0, 10_000),
     unit=st.sampled_from([1e-3, 0.7, 1e3]),
