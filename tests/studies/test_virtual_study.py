@@ -267,25 +267,22 @@ def test_a_participant_is_joined_once(kept):
         kept.joined(others.assign(condition="C9"))
 
 
-def test_an_unknown_condition_or_assumption_is_named():
-    known = "a condition on the ground.robot testbed must be one of 'C1', .*, got 'C6'"
-    with refused(known):
-        tl.virtual_study(**QUICK | {"conditions": ["C1", "C6"]})
-    with refused("did you mean 'attention_cost'"):
-        tl.virtual_study(**QUICK, assumptions={"atention_cost": 0.1})
-
-
 @pytest.mark.parametrize(
-    ("conditions", "message"),
+    ("arguments", "message"),
     [
-        ([], "conditions must have at least 2 labels, got 0"),
-        (["C1", ("C2", None)], "'C2' must be a name of its own"),
-        (["C1", ("in turns",)], r"a rule is a pair \(name, rule\), got \('in turns',\)"),
+        ({"assumptions": {"atention_cost": 0.1}}, "did you mean 'attention_cost'"),
+        ({"conditions": ["C1", "C6"]}, "a condition on .* must be one of 'C1', .*, got 'C6'"),
+        ({"conditions": []}, "conditions must have at least 2 labels, got 0"),
+        ({"conditions": ["C1", ("C2", None)]}, "'C2' must be a name of its own"),
+        (
+            {"conditions": ["C1", ("in turns",)]},
+            r"a rule is a pair \(name, rule\), got \('in turns',\)",
+        ),
     ],
 )
-def test_conditions_that_are_none_are_refused(conditions, message):
+def test_arguments_that_no_study_takes_are_refused(arguments, message):
     with refused(message):
-        tl.virtual_study(**QUICK | {"conditions": conditions})
+        tl.virtual_study(**QUICK | arguments)
 
 
 class Alternating:
