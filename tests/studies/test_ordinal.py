@@ -254,6 +254,13 @@ def test_factors_that_cannot_be_fitted_are_refused(factors, message):
         tl.ordinal_model(ratings(), **TRUST | factors)
 
 
+def answered(rng, n, per_condition, sd, shift):
+    """Ratings of people under two conditions, on the categories whose shares R had."""
+    frame = drawn(n, condition=range(2), trial=range(per_condition))
+    latent = sd * rng.standard_normal(n)[frame["person"]] + shift * frame["condition"]
+    return frame.assign(rating=np.searchsorted(BELOW, latent + rng.logistic(size=len(frame))))
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("case", POWER["cases"], ids=str)
 def test_power_is_the_share_of_rejections_in_r(case):
@@ -262,22 +269,19 @@ def test_power_is_the_share_of_rejections_in_r(case):
     has no maximum is refused here; clmm stops somewhere.
     """
     rng = np.random.default_rng(3)
-    n, count, rejected, refused = case["n"], 300, 0, 0
-    frame = pd.DataFrame({"person": np.repeat(np.arange(n), 2), "condition": ["a", "b"] * n})
+    count, rejected, without = 300, 0, 0
     for _ in range(count):
-        answers = case["sd"] * np.repeat(rng.standard_normal(n), 2) + rng.logistic(size=2 * n)
-        answers += np.tile([0.0, case["shift"]], n)
-        frame["rating"] = np.searchsorted(BELOW, answers)
+        frame = answered(rng, case["n"], 1, case["sd"], case["shift"])
         try:
             model = tl.ordinal_model(frame, "rating", "condition", "person")
         except ValueError as error:
             if "the likelihood has no maximum" not in str(error):
                 raise
-            refused += 1
+            without += 1
             continue
         rejected += model.table()["p_chi2"].item() < 0.05
-    assert refused <= 0.01 * count
-    power, other = rejected / (count - refused), case["rejected"] / POWER["replicates"]
+    assert without <= 0.01 * count
+    power, other = rejected / (count - without), case["rejected"] / POWER["replicates"]
     middle = 0.5 * (power + other)
     error = np.sqrt(middle * (1.0 - middle) * (1.0 / count + 1.0 / POWER["replicates"]))
     assert abs(power - other) <= 4.0 * error
@@ -287,15 +291,14 @@ def test_power_is_the_share_of_rejections_in_r(case):
 def test_intervals_of_probabilities_cover_as_they_say():
     """30 people, two conditions, two ratings in each; the truth is an integral over people."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(80)
-    sd, shifts, studies = 1.2, np.array([0.0, 0.8]), 150
-    below = special.expit(BELOW[:, None] - shifts[:, None, None] - sd * nodes)
+    sd, shift, studies = 1.2, 0.8, 150
+    shifts = np.array([0.0, shift])[:, None, None]
+    below = special.expit(BELOW[:, None] - shifts - sd * nodes)
     truth = np.diff(below @ weights / weights.sum(), prepend=0.0, append=1.0)
     rng = np.random.default_rng(0)
-    frame = pd.DataFrame({"person": np.repeat(range(30), 4), "condition": [0, 0, 1, 1] * 30})
     hits = []
     for _ in range(studies):
-        answers = sd * rng.standard_normal(30)[frame["person"]] + shifts[frame["condition"]]
-        frame["rating"] = np.searchsorted(BELOW, answers + rng.logistic(size=120))
+        frame = answered(rng, 30, 2, sd, shift)
         cells = tl.ordinal_model(frame, "rating", "condition", "person").probabilities()
         right = truth[cells["condition"].astype(int), cells["category"].astype(int)]
         hits.extend((cells["ci_low"] <= right) & (right <= cells["ci_high"]))

@@ -5,7 +5,7 @@ Oracles: SciPy, statsmodels, R's p.adjust, theorems; SciPy's noncentral F, simul
 pairs: test_factorial.py; with R: test_against_r.py.
 """
 
-from itertools import combinations, product
+from itertools import product
 
 import numpy as np
 import pytest
@@ -47,12 +47,8 @@ def test_a_pair_with_one_difference_has_no_error():
     array[1, :, 1] = array[1, :, 0] + 0.1
     design = Design(8, {"mode": range(3)})
     _, *weights = level_pairs(design, "mode")
-    difference, se, _ = differences(regress(array, design), *weights)
+    _, se, _ = differences(regress(array, design), *weights)
     assert np.isnan(se).tolist() == [[False] * 3, [True, False, False]]
-    for (a, b), mean, error in zip(combinations(range(3), 2), difference.T, se.T, strict=True):
-        own = array[:, :, a] - array[:, :, b]
-        np.testing.assert_allclose(mean, own.mean(axis=1), atol=1e-12)
-        np.testing.assert_allclose(error[0], stats.sem(own[0]), rtol=1e-12)
 
 
 def test_ranks_take_no_level():
@@ -118,22 +114,9 @@ def test_limits_invert_the_noncentral_f(f, df):
     assert (found.noncentrality_low > 0.0) == (stats.f.sf(f, *df) < 0.05)
     assert (found.noncentrality_high > 0.0) == (stats.f.cdf(f, *df) > 0.05)
     assert 0.0 <= found.low <= found.high < 1.0
-    assert found.high == pytest.approx(
-        found.noncentrality_high / (found.noncentrality_high + sum(df))
-    )
-
-
-@pytest.mark.parametrize("eta2", [0.1, 0.5])
-def test_coverage_of_eta2_in_small_studies(eta2):
-    """
-    Theorem: with two conditions F is noncentral with λ = n η²/(1 − η²), so that the interval covers
-    η² in 90 %.
-    """
-    n, rng = 5, np.random.default_rng(8)
-    t = stats.nct.rvs(n - 1, np.sqrt(n * eta2 / (1.0 - eta2)), size=1000, random_state=rng)
-    found = [partial_eta_interval(f, 1, n - 1) for f in t**2]
-    share = np.mean([x.low <= eta2 <= x.high for x in found])
-    assert abs(share - 0.90) < 4.0 * np.sqrt(0.09 / len(found))
+    strengths = np.array([found.noncentrality_low, found.noncentrality_high])
+    # λ = n η²/(1 − η²) in the population, with n = 1 + df2 where there are two conditions.
+    assert [found.low, found.high] == pytest.approx(strengths / (strengths + sum(df)))
 
 
 def test_the_interval_is_that_of_the_test_with_its_correction():

@@ -16,7 +16,7 @@ from scipy import stats
 
 import trustlab as tl
 from tests.cases import refused
-from tests.studies.scores import COLUMNS, drawn, long
+from tests.studies.scores import COLUMNS, drawn, long, reference
 from trustlab.sessions import external_data
 from trustlab.studies.table import complete_scores, read_cells, read_factors
 from trustlab.studies.words import apa_number
@@ -194,85 +194,21 @@ def test_scores_and_reliability_say_that_data_were_not_measured():
     assert scores.table()["satisfaction_mean"].min() > 0.0
 
 
-REAL = {  # file, column: F, W, p of W, Greenhouse–Geisser ε, generalized η² by R 4.2.2, afex 1.2-1
-    ("traj_err", "traj_err"): (
-        123.665488185,
-        0.179747962818,
-        5.49266853186e-07,
-        0.563853200965,
-        0.73678136574,
-    ),
-    ("tlx", "tlx_ave"): (
-        35.2180725249,
-        0.306632530858,
-        0.000105225304857,
-        0.564771171622,
-        0.324236420429,
-    ),
-    ("p_trust", "p_trust"): (
-        29.1782829794,
-        0.359531665113,
-        0.000483040901719,
-        0.58735260211,
-        0.248899583309,
-    ),
-    ("mdmt", "mdmt_ave"): (
-        33.564337297,
-        0.260416935581,
-        2.1501531877e-05,
-        0.607009432645,
-        0.276134177462,
-    ),
-    ("p_auto", "p_auto"): (
-        38.4605017624,
-        0.626256441415,
-        0.0709346418865,
-        0.801945250816,
-        0.340587564577,
-    ),
-    ("pupil", "pupil_diameter"): (
-        5.11895681872,
-        0.280350476403,
-        4.41527811108e-05,
-        0.561420620466,
-        0.00601321075954,
-    ),
-    ("tapping_err", "tapping_err_ave"): (
-        1.17992422606,
-        0.530668885921,
-        0.0172966159188,
-        0.744347680945,
-        0.0219796535225,
-    ),
-    ("traj_err_all_levels", "traj_err"): (
-        43.2695299103,
-        0.0332710490509,
-        5.08290901773e-12,
-        0.431669954944,
-        0.516324105137,
-    ),
-}
+REAL = reference("real_measures")["sets"]
 
 
 @pytest.mark.skipif(
     external_data("autonomy_cl_trust") is None,
     reason="needs the sessions of AutonomyCLTrust (docs/reports.md): TRUSTLAB_DATA=folder",
 )
-@pytest.mark.parametrize("measure", REAL, ids=lambda measure: measure[0])
-def test_real_measures(measure):
+@pytest.mark.parametrize("name", REAL)
+def test_real_measures(name):
     """Pan et al. (2024), 24 participants."""
-    file, column = measure
-    frame = pd.read_csv(external_data("autonomy_cl_trust") / "measures" / f"{file}.csv")
-    result = tl.repeated_measures(frame, dv=column, within="autonomy", subject="pid")
-    ours = [
-        result.F,
-        result.mauchly_w,
-        result.mauchly_p,
-        result.epsilon_gg,
-        result.eta2_generalized,
-    ]
-    np.testing.assert_allclose(ours, REAL[measure], rtol=1e-9)
-    assert (result.n, result.k) == (24, 5 if "all" in file else 4)
+    frame = pd.read_csv(external_data("autonomy_cl_trust") / "measures" / f"{name}.csv")
+    result = tl.repeated_measures(frame, REAL[name]["column"], "autonomy", "pid")
+    for number, theirs in REAL[name]["numbers"].items():
+        assert getattr(result, number) == pytest.approx(theirs, rel=1e-9), number
+    assert (result.n, result.k) == (24, 5 if "all" in name else 4)
 
 
 def test_assumptions_are_those_of_the_single_tests():
