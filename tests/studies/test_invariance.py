@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
+from tests.studies.scores import drawn
 
 # In units of the score, or of its origin: changed by the unit.
 RAW = ["mean", "sd", "se", "median", "minimum", "maximum", "ci_low", "ci_high", "low", "high"]
@@ -62,14 +63,9 @@ def two_mixed(frame):
 
 
 def table(seed, several):
-    """Scores of nine people, five of them in a group, in three modes and two tasks, or one."""
-    rng = np.random.default_rng(seed)
-    cells = [range(9), list("abc"), [1, 2] if several else [1]]
-    index = pd.MultiIndex.from_product(cells, names=["person", "mode", "task"])
-    frame = index.to_frame(index=False)
-    scores = rng.normal(size=len(frame)) + rng.normal(size=9).repeat(len(frame) // 9)
-    groups = np.where(frame["person"] < 5, "l", "r")
-    return frame.assign(score=scores, group=groups, person_number=frame["person"] ** 2)
+    """Scores of nine people in two groups, in three modes and two tasks, or one."""
+    frame = drawn(9, seed, mode="abc", task=[1, 2] if several else [1])
+    return frame.assign(person_number=frame["person"] ** 2)
 
 
 def numbers(name, frame):

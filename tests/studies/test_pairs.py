@@ -51,13 +51,6 @@ def test_a_pair_with_one_difference_has_no_error():
     assert np.isnan(se).tolist() == [[False] * 3, [True, False, False]]
 
 
-def test_ranks_take_no_level():
-    result = tl.repeated_measures(drawn(), **COLUMNS)
-    for options in ({"confidence": 0.9}, {"factor": COLUMNS["within"]}):
-        with refused("have no effect on ranks"):
-            result.pairs(method="wilcoxon", **options)
-
-
 FAR = [(2.5, 12, 0.95), (8.0, 20, 0.95), (-40.0, 36, 0.95), (900.0, 6, 0.95)]
 NEAR = product([0.0, 0.01, -0.05, 0.3], [10], [0.8, 0.99, 0.9999])
 
@@ -79,10 +72,18 @@ def test_the_interval_of_d_z_goes_on_where_t_is_huge():
     np.testing.assert_allclose(near, far, rtol=1e-3)
 
 
-def test_two_names_of_one_factor_are_refused():
-    result = tl.repeated_measures(long(draw(1, 9, 4)[0]), **COLUMNS)
-    with refused("factor and at are both 'mode'; name two factors"):
-        result.pairs("mode", at="mode")
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"factor": "mode", "at": "mode"}, "factor and at are both 'mode'; name two factors"),
+        ({"method": "wilcoxon", "confidence": 0.9}, "have no effect on ranks"),
+        ({"method": "wilcoxon", "factor": "mode"}, "have no effect on ranks"),
+    ],
+)
+def test_pairs_that_are_refused(options, message):
+    result = tl.repeated_measures(drawn(), **COLUMNS)
+    with refused(message):
+        result.pairs(**options)
 
 
 def test_the_only_factor_within_subjects_is_compared_without_its_name():

@@ -27,15 +27,15 @@ WEIGHTS = [5, 0, 4, 3, 2, 1]
 WHO = {"subject": "pid", "condition": "scheme"}
 
 
-@pytest.fixture
-def tlx():
-    rows = [
+TLX = pd.DataFrame(
+    [
         ("s1", "M", 80, 20, 60, 40, 70, 50),
         ("s1", "TMIG", 40, 10, 30, 20, 35, 15),
         ("s2", "M", 100, 0, 95, 5, 55, 45),
         ("s2", "TMIG", 25, 5, 10, 100, 20, 0),
-    ]
-    return pd.DataFrame(rows, columns=["pid", "scheme", *NASA_TLX.items])
+    ],
+    columns=["pid", "scheme", *NASA_TLX.items],
+)
 
 
 def weights_of(**people):
@@ -45,9 +45,9 @@ def weights_of(**people):
 # NASA-TLX
 
 
-def test_weights_are_those_of_the_subject(tlx):
+def test_weights_are_those_of_the_subject():
     weights = weights_of(s2=WEIGHTS, s1=[0, 5, 4, 3, 2, 1])
-    scores = score(tlx, NASA_TLX, **WHO, weights=weights).table()
+    scores = score(TLX, NASA_TLX, **WHO, weights=weights).table()
     assert list(scores.columns) == ["pid", "scheme", "tlx_raw", "tlx_weighted"]
     assert scores["pid"].tolist() == ["s1", "s1", "s2", "s2"]
     by_hand = (0 * 80 + 5 * 20 + 4 * 60 + 3 * 40 + 2 * 70 + 1 * 50) / 15
@@ -88,32 +88,32 @@ def test_the_pair_without_a_choice_is_named():
         tlx_weights(pd.concat([choices, choices.iloc[:1]]))
 
 
-def test_answers_given_twice_are_refused(tlx):
-    with refused("one row per subject"):
-        score(pd.concat([tlx, tlx]), NASA_TLX, **WHO)
-
-
-def test_other_forms_are_stretched(tlx):
-    frame = tlx.assign(**dict.fromkeys(NASA_TLX.items, 2))
+def test_other_forms_are_stretched():
+    frame = TLX.assign(**dict.fromkeys(NASA_TLX.items, 2))
     scores = score(frame, replace(NASA_TLX, low=1, high=20, step=1), **WHO).scores
     assert scores["tlx_raw"].to_numpy() == pytest.approx(100 / 19, abs=1e-12)
 
 
-def test_an_answer_off_the_scale_is_named(tlx):
-    with refused("effort of subject s2, M is -5, not on the scale"):
-        score(tlx.replace({"effort": 55}, -5), NASA_TLX, **WHO)
-
-
 @pytest.mark.parametrize(
-    "weights",
+    ("change", "message"),
     [
-        weights_of(s1=WEIGHTS),
-        weights_of(s1=WEIGHTS, s2=[4.5, 0.5, 4, 3, 2, 1]),
+        ({"answers": pd.concat([TLX, TLX])}, "one row per subject"),
+        ({"answers": TLX.replace({"effort": 55}, -5)}, "effort of subject s2, M is -5, not on the"),
+        ({"weights": weights_of(s1=WEIGHTS)}, "of subject s2, M are not those of fifteen choices"),
+        (
+            {"weights": weights_of(s1=WEIGHTS, s2=[4.5, 0.5, 4, 3, 2, 1])},
+            "of subject s2, M are not those of fifteen choices",
+        ),
+        # They were dropped in silence.
+        (
+            {"weights": weights_of(s1=WEIGHTS, s2=WEIGHTS, s3=WEIGHTS)},
+            r"weights: \['s3'\] did not answer",
+        ),
     ],
 )
-def test_the_subject_without_weights_or_with_impossible_ones_is_named(tlx, weights):
-    with refused("of subject s2, M are not those of fifteen choices"):
-        score(tlx, NASA_TLX, **WHO, weights=weights)
+def test_answers_and_weights_that_are_none_are_named(change, message):
+    with refused(message):
+        score(**{"answers": TLX, "questionnaire": NASA_TLX} | WHO | change)
 
 
 def test_landau_condition_equals_brute_force():
@@ -209,24 +209,23 @@ def test_items_without_an_alpha_are_refused():
         cronbach_alpha(pd.DataFrame({"a": [1, 2, 3], "b": [3, np.nan, 1]}))
 
 
-@pytest.mark.parametrize("name", ["ease_mean", "ease_sum", "subject"])
-def test_a_subscale_named_like_another_column_is_refused(name):
-    """It took the place of the score."""
-    ease = Questionnaire("ease", ["a", "b"], 1, 5, subscales={name: ["a"]})
-    with refused(f"subscales: '{name}' is another column of the scores"):
-        score(one_row(a=1, b=2), ease)
+NAMES = ["mood_mean", "mood_sum", "subject"]
+TAKEN = {name: replace(MOOD, subscales={name: ["a"]}) for name in NAMES}
+LOAD = {"questionnaire": replace(MOOD, task_load=True), "weights": one_row(a=5, b=5, c=5)}
 
 
-def test_no_column_has_two_roles():
-    """An item was the subject."""
-    with refused("columns must be different for every argument"):
-        score(one_row(a=5.0, b=5.0, c=5.0), MOOD, subject="a")
-
-
-def test_weights_are_for_six_items():
-    load = replace(MOOD, task_load=True)
-    with refused("weights are for six items of a task load index"):
-        score(one_row(a=5.0, b=5.0, c=5.0), load, weights=one_row(a=5, b=5, c=5))
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        # An item was the subject, and a subscale took the place of the score.
+        ({"subject": "a"}, "columns must be different for every argument"),
+        *(({"questionnaire": TAKEN[name]}, f"'{name}' is another column of the") for name in TAKEN),
+        (LOAD, "weights are for six items of a task load index"),
+    ],
+)
+def test_what_cannot_be_scored_is_refused(change, message):
+    with refused(message):
+        score(**{"answers": one_row(a=5.0, b=5.0, c=5.0), "questionnaire": MOOD} | change)
 
 
 def test_choices_have_rows_and_an_index_has_no_part_in_them():
@@ -236,10 +235,3 @@ def test_choices_have_rows_and_an_index_has_no_part_in_them():
     )
     with refused("column 'subject' has no rows"):
         tlx_weights(choices[:0])
-
-
-def test_weights_of_somebody_who_did_not_answer_are_refused(tlx):
-    """They were dropped in silence."""
-    weights = weights_of(s1=WEIGHTS, s2=WEIGHTS, s3=WEIGHTS)
-    with refused(r"weights: \['s3'\] did not answer"):
-        score(tlx, NASA_TLX, **WHO, weights=weights)

@@ -53,8 +53,8 @@ def test_decision_field_by_hand():
     person = confidence = 0.5
     wish = 0.1
     for k in range(10):
-        event = {"mode": mode[k], "p_h": p_h[k], "seen": 1.0 - mode[k], "p_r": SUCCESS[k]}
-        belief = model.step(belief, tl.trust.Event(**{n: np.array([v]) for n, v in event.items()}))
+        p, own, shown = SUCCESS[k : k + 1], p_h[k : k + 1], mode[k : k + 1]
+        belief = model.step(belief, tl.trust.Event(p_r=p, p_h=own, mode=shown, seen=1.0 - shown))
         robot += 0.1 * (0.6 - robot) if mode[k] else 0.4 * (SUCCESS[k] - robot)
         person += 0.4 * (p_h[k] - person) if mode[k] else 0.1 * (0.5 - person)
         trust += 0.3 * (robot - trust)
@@ -124,19 +124,6 @@ def test_counts_begin_within_the_scale_and_in_its_middle_without_a_rating():
 def test_ranges_are_open_or_end_at_1():
     ranges = [each for model in MODELS.values() for each in model.parameters().values()]
     assert {high for _, _, high in ranges} == {1.0, np.inf}
-
-
-def test_later_ratings_do_not_enter_a_simulation():
-    people = panel(3, resolution=0.1)
-    later = people.ratings.copy()
-    later[:, 1:] = 0.0
-    drawn, same = (
-        tl.trust.simulate_ratings(
-            MODELS["performance"](), replace(people, ratings=ratings), np.random.default_rng(0)
-        ).ratings
-        for ratings in (people.ratings, later)
-    )
-    np.testing.assert_array_equal(drawn, same)
 
 
 def matrices(name, truth, signals):
