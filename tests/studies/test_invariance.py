@@ -9,34 +9,33 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import trustlab as tl
-from tests.studies.scores import drawn
+from tests.studies.scores import COLUMNS, drawn
 
 # In units of the score, or of its origin: changed by the unit.
 RAW = ["mean", "sd", "se", "median", "minimum", "maximum", "ci_low", "ci_high", "low", "high"]
 RAW += ["ci_low_within", "ci_high_within", "mean_difference", "median_difference", "ms", "ss"]
 RAW += ["ss_effect", "ss_error", "ss_subjects", "subject_variance", "residual_variance"]
 RAW += ["sd_difference"]
-ONE = {"dv": "score", "within": "mode", "subject": "person"}
 ANALYSES = {
-    "one factor": lambda f: tl.repeated_measures(f, **ONE).table(),
-    "its pairs": lambda f: tl.repeated_measures(f, **ONE).pairs(),
-    "its pairs by ranks": lambda f: tl.repeated_measures(f, **ONE).pairs(method="wilcoxon"),
-    "its assumptions": lambda f: tl.repeated_measures(f, **ONE).assumptions(),
+    "one factor": lambda f: tl.repeated_measures(f, **COLUMNS).table(),
+    "its pairs": lambda f: tl.repeated_measures(f, **COLUMNS).pairs(),
+    "its pairs by ranks": lambda f: tl.repeated_measures(f, **COLUMNS).pairs(method="wilcoxon"),
+    "its assumptions": lambda f: tl.repeated_measures(f, **COLUMNS).assumptions(),
     "two factors": lambda f: two(f).table(),
     "their pairs": lambda f: two(f).pairs("mode", at="task"),
     "groups": lambda f: two(f, between="group").table(),
     "pairs of groups": lambda f: two(f, between="group").pairs("group", at="mode"),
-    "paired t-test": lambda f: tl.paired_t_test(f[f["mode"].astype(str) < "c"], **ONE).table(),
-    "equivalence": lambda f: tl.equivalence(f, **ONE, bound=0.5 * f["score"].std()),
-    "Bayes factors": lambda f: tl.bayes_factor(f, **ONE),
-    "mixed model": lambda f: tl.mixed_model(f, **ONE).table(),
+    "paired t-test": lambda f: tl.paired_t_test(f[f["mode"].astype(str) < "c"], **COLUMNS).table(),
+    "equivalence": lambda f: tl.equivalence(f, **COLUMNS, bound=0.5 * f["score"].std()),
+    "Bayes factors": lambda f: tl.bayes_factor(f, **COLUMNS),
+    "mixed model": lambda f: tl.mixed_model(f, **COLUMNS).table(),
     "mixed model of groups": lambda f: two_mixed(f).table(),
     "pairs of its groups": lambda f: two_mixed(f).pairs("group", at="mode"),
     "covariates": lambda f: two(f, covariates=["person_number"]).table(),
-    "winsorizing": lambda f: tl.winsorize(f, *ONE.values(), outside="iqr", k=0.5, to="next").limits,
+    "winsorizing": lambda f: tl.winsorize(f, **COLUMNS, outside="iqr", k=0.5, to="next").limits,
     "formula model": lambda f: tl.formula_model("score ~ mode", f, groups="person").table(),
-    "ordinal model": lambda f: tl.ordinal_model(in_thirds(f), *ONE.values()).table(),
-    "its odds ratios": lambda f: tl.ordinal_model(in_thirds(f), *ONE.values()).pairs(),
+    "ordinal model": lambda f: tl.ordinal_model(in_thirds(f), **COLUMNS).table(),
+    "its odds ratios": lambda f: tl.ordinal_model(in_thirds(f), **COLUMNS).pairs(),
     "order effects": lambda f: in_order(f).table(),
 }
 
@@ -118,7 +117,7 @@ def test_labels_may_be_true_and_false():
     frame = table(3, several=False).query("mode < 'c'")
     truths = frame.assign(mode=frame["mode"] == "b")
     for view in ("descriptives", "pairs", "normality"):
-        own, other = (getattr(tl.repeated_measures(f, **ONE), view)() for f in (truths, frame))
+        own, other = (getattr(tl.repeated_measures(f, **COLUMNS), view)() for f in (truths, frame))
         pd.testing.assert_frame_equal(own.iloc[:, 2:], other.iloc[:, 2:])
 
 

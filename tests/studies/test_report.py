@@ -18,22 +18,27 @@ from tests.studies.scores import drawn
 from trustlab.publishing.tables import table_html
 from trustlab.studies.words import printed
 
+TASKS = ["easy", "hard_#1"]
+
 
 def frame_of():
-    frame = drawn(10, scheme=["M", "TMIG"], task=["easy", "hard_#1"])
+    frame = drawn(10, scheme=["M", "TMIG"], task=TASKS)
     frame["score"] += frame["scheme"] == "M"
     frame.attrs["synthetic"] = True
     return frame
 
 
+ONE = frame_of()[lambda f: f["task"] == "easy"]
+PART = {"dv": "score", "within": "scheme", "subject": "person"}
+BOTH = PART | {"within": ["scheme", "task"]}
+
+
 def one_way(**more):
-    frame = frame_of()[lambda f: f["task"] == "easy"]
-    return tl.report(frame, dv="score", within="scheme", subject="person", **more)
+    return tl.report(ONE, **PART, **more)
 
 
 def two_way(frame=None):
-    frame = frame_of() if frame is None else frame
-    return tl.report(frame, dv="score", within=["scheme", "task"], subject="person")
+    return tl.report(frame_of() if frame is None else frame, **BOTH)
 
 
 @pytest.mark.parametrize("make", [one_way, two_way])
@@ -86,9 +91,6 @@ def test_the_comparison_of_two_groups_is_a_row(tmp_path):
     assert "statistic" not in tables[-1]
 
 
-TASKS = ["easy", "hard_#1"]
-ONE = frame_of()[lambda f: f["task"] == "easy"]
-PART = {"dv": "score", "within": "scheme", "subject": "person"}
 NOISE = np.random.default_rng(0).normal(size=(4, 9, 1))
 ANSWERS = pd.DataFrame(60, range(9), tl.NASA_TLX.items).assign(subject=range(9))
 RESULTS = {
@@ -99,7 +101,7 @@ RESULTS = {
     "counts under two heads": lambda: tl.design_balance(
         tl.latin_square_design(["A", "B", "C"], 6).orders()
     ),
-    "a mixed model": lambda: tl.mixed_model(frame_of(), **PART | {"within": ["scheme", "task"]}),
+    "a mixed model": lambda: tl.mixed_model(frame_of(), **BOTH),
     "scores": lambda: tl.score(ANSWERS, tl.NASA_TLX),
     "a printed study": lambda: tl.published_studies()["uav.tlx"],
 }

@@ -68,7 +68,9 @@ def test_order_is_kept_inner_values_are_not_touched(values, outside, to):
 def test_two_rows_of_a_cell_and_two_roles_of_a_column_are_refused():
     """They counted twice, and moved the limits."""
     frame = pd.DataFrame({"pid": [1, 2, 3, 3], "scheme": "A", "error": [1.0, 2.0, 3.0, 3.0]})
-    with refused("more than one row for a cell, such as row 3; average"):
-        winsorize(frame, "error", "scheme", "pid", outside="sd", k=2.0, to="limit")
-    with refused("columns must be different for every argument"):
-        winsorize(frame, "pid", "scheme", "pid", outside="sd", k=2.0, to="limit")
+    for dv, message in (
+        ("error", "more than one row for a cell, such as row 3; average"),
+        ("pid", "columns must be different for every argument"),
+    ):
+        with refused(message):
+            winsorize(frame, dv, "scheme", "pid", outside="sd", k=2.0, to="limit")
