@@ -6,11 +6,17 @@ from functools import cache
 import networkx as nx
 import numpy as np
 import pandas as pd
+import pytest
 
 import trustlab as tl
 
 CORNERS = ((0.0, 0.0), (9.0, 0.0), (9.0, 9.0), (0.0, 9.0))
 THRESHOLDS = {"lower": 0.0, "upper": 0.35}
+
+
+def refused(words):
+    """A block whose call the package must refuse, with an error that says these words."""
+    return pytest.raises(ValueError, match=words)
 
 
 @cache

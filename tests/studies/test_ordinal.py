@@ -13,6 +13,7 @@ import pytest
 from scipy import integrate, optimize, special, stats
 
 import trustlab as tl
+from tests.cases import refused
 from tests.studies.scores import drawn, reference
 from trustlab.studies.ordinal import Cumulative
 
@@ -50,14 +51,12 @@ def test_a_covariate_agrees_with_clmm2():
 
 def test_a_covariate_of_any_name_is_itself():
     """One called answer was taken for the ratings."""
-    frame = ratings().rename(columns={"trial": "answer"})
-    frame["answer"] = frame["answer"].map({"x": 0, "y": 1, "z": 2})
-    call = {"dv": "trust", "within": "mode", "subject": "person"}
-    named = tl.ordinal_model(frame, **call, covariates=["answer"]).table()
-    other = frame.rename(columns={"answer": "t"})
-    pd.testing.assert_series_equal(
-        named["chi2"], tl.ordinal_model(other, **call, covariates=["t"]).table()["chi2"]
+    frame = ratings().assign(answer=lambda f: f["trial"])
+    found, same = (
+        tl.ordinal_model(frame, **TRUST, covariates=name).table()["chi2"]
+        for name in ("answer", "trial")
     )
+    pd.testing.assert_series_equal(found, same)
 
 
 def outcomes(name):
@@ -201,27 +200,28 @@ def test_answers_drawn_from_the_model_are_as_it_says(wine):
     assert pair["superiority"] == pytest.approx(share, abs=0.004)
 
 
-def ratings(n=20):
+TRUST = {"dv": "trust", "within": "mode", "subject": "person"}
+
+
+def ratings():
     """Twelve ratings of each person, one to five, in four modes; the first half are novices."""
-    frame = drawn(n, mode="abcd", trial="xyz")
+    frame = drawn(20, mode="abcd", trial=range(3))
     latent = 1.5 * frame["score"] + (frame["mode"] == "b") + 1.5 * (frame["mode"] == "c")
     return frame.assign(trust=1 + np.digitize(latent, [-1.5, -0.3, 0.6, 1.4]))
 
 
 def test_groups_and_sentences():
-    frame, call = ratings(), {"dv": "trust", "subject": "person"}
-    model = tl.ordinal_model(
-        frame, within="mode", between="group", order={"mode": [*"dcba"]}, **call
-    )
+    frame = ratings()
+    model = tl.ordinal_model(frame, **TRUST, between="group", order={"mode": [*"dcba"]})
     assert model.table()["term"].tolist() == ["group", "mode", "group:mode"]
     assert model.probabilities()["mode"].unique().tolist() == [*"dcba"]
     sentence = "A cumulative-link mixed model of trust with random intercepts (20 people, 240 obs"
     for words in (sentence, "mode, χ²(3) = ", "novice × c"):
         assert words in model.apa()
     assert model.apa() == model.message == tl.report(model).message
-    binary = tl.ordinal_model(frame.assign(trust=(frame["trust"] > 3) * 1), within="mode", **call)
+    binary = tl.ordinal_model(frame.assign(trust=(frame["trust"] > 3) * 1), **TRUST)
     assert "A logistic mixed model" in binary.apa()
-    between = tl.ordinal_model(frame, within=[], between="group", **call)
+    between = tl.ordinal_model(frame, **TRUST | {"within": [], "between": "group"})
     assert between.table()["term"].tolist() == ["group"]
 
 
@@ -237,7 +237,7 @@ def test_groups_and_sentences():
     ],
 )
 def test_ratings_that_cannot_be_fitted_are_refused(rating, message):
-    with pytest.raises(ValueError, match=message):
+    with refused(message):
         tl.ordinal_model(WINE.assign(rating=rating), "rating", "temp", "judge")
 
 
@@ -250,8 +250,15 @@ def test_ratings_that_cannot_be_fitted_are_refused(rating, message):
     ],
 )
 def test_factors_that_cannot_be_fitted_are_refused(factors, message):
-    with pytest.raises(ValueError, match=message):
-        tl.ordinal_model(ratings(), "trust", subject="person", **factors)
+    with refused(message):
+        tl.ordinal_model(ratings(), **TRUST | factors)
+
+
+def answered(rng, n, per_condition, sd, shift):
+    """Ratings of people under two conditions, on the categories whose shares R had."""
+    frame = drawn(n, condition=range(2), trial=range(per_condition))
+    latent = sd * rng.standard_normal(n)[frame["person"]] + shift * frame["condition"]
+    return frame.assign(rating=np.searchsorted(BELOW, latent + rng.logistic(size=len(frame))))
 
 
 @pytest.mark.long
@@ -262,22 +269,19 @@ def test_power_is_the_share_of_rejections_in_r(case):
     has no maximum is refused here; clmm stops somewhere.
     """
     rng = np.random.default_rng(3)
-    n, count, rejected, refused = case["n"], 300, 0, 0
-    frame = pd.DataFrame({"person": np.repeat(np.arange(n), 2), "condition": ["a", "b"] * n})
+    count, rejected, without = 300, 0, 0
     for _ in range(count):
-        answers = case["sd"] * np.repeat(rng.standard_normal(n), 2) + rng.logistic(size=2 * n)
-        answers += np.tile([0.0, case["shift"]], n)
-        frame["rating"] = np.searchsorted(BELOW, answers)
+        frame = answered(rng, case["n"], 1, case["sd"], case["shift"])
         try:
             model = tl.ordinal_model(frame, "rating", "condition", "person")
         except ValueError as error:
             if "the likelihood has no maximum" not in str(error):
                 raise
-            refused += 1
+            without += 1
             continue
         rejected += model.table()["p_chi2"].item() < 0.05
-    assert refused <= 0.01 * count
-    power, other = rejected / (count - refused), case["rejected"] / POWER["replicates"]
+    assert without <= 0.01 * count
+    power, other = rejected / (count - without), case["rejected"] / POWER["replicates"]
     middle = 0.5 * (power + other)
     error = np.sqrt(middle * (1.0 - middle) * (1.0 / count + 1.0 / POWER["replicates"]))
     assert abs(power - other) <= 4.0 * error
@@ -287,15 +291,14 @@ def test_power_is_the_share_of_rejections_in_r(case):
 def test_intervals_of_probabilities_cover_as_they_say():
     """30 people, two conditions, two ratings in each; the truth is an integral over people."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(80)
-    sd, shifts, studies = 1.2, np.array([0.0, 0.8]), 150
-    below = special.expit(BELOW[:, None] - shifts[:, None, None] - sd * nodes)
+    sd, shift, studies = 1.2, 0.8, 150
+    shifts = np.array([0.0, shift])[:, None, None]
+    below = special.expit(BELOW[:, None] - shifts - sd * nodes)
     truth = np.diff(below @ weights / weights.sum(), prepend=0.0, append=1.0)
     rng = np.random.default_rng(0)
-    frame = pd.DataFrame({"person": np.repeat(range(30), 4), "condition": [0, 0, 1, 1] * 30})
     hits = []
     for _ in range(studies):
-        answers = sd * rng.standard_normal(30)[frame["person"]] + shifts[frame["condition"]]
-        frame["rating"] = np.searchsorted(BELOW, answers + rng.logistic(size=120))
+        frame = answered(rng, 30, 2, sd, shift)
         cells = tl.ordinal_model(frame, "rating", "condition", "person").probabilities()
         right = truth[cells["condition"].astype(int), cells["category"].astype(int)]
         hits.extend((cells["ci_low"] <= right) & (right <= cells["ci_high"]))
@@ -307,33 +310,30 @@ def test_intervals_of_probabilities_cover_as_they_say():
 
 def test_covariates_are_other_columns_than_the_rest():
     """The subject was taken for one, beside its random intercept; one name alone was spelt out."""
-    frame = ratings().assign(trial=lambda f: f["trial"].map({"x": 0, "y": 1, "z": 2}))
-    call = {"dv": "trust", "within": "mode", "subject": "person"}
-    for name in ("person", "trust"):
-        with pytest.raises(ValueError, match="columns must be different for every argument"):
-            tl.ordinal_model(frame, **call, covariates=[name])
+    frame = ratings()
+    with refused("columns must be different for every argument"):
+        tl.ordinal_model(frame, **TRUST, covariates=["person"])
     for gap, message in ((np.nan, "has nothing in row 5"), ("y", "holds 'y' in row 5")):
         other = frame.astype({"trial": object})
         other.loc[5, "trial"] = gap
-        with pytest.raises(ValueError, match=f"covariates: column 'trial' {message}"):
-            tl.ordinal_model(other[3:], **call, covariates="trial")
-    one, listed = (tl.ordinal_model(frame, **call, covariates=c) for c in ("trial", ["trial"]))
+        with refused(f"covariates: column 'trial' {message}"):
+            tl.ordinal_model(other[3:], **TRUST, covariates="trial")
+    one, listed = (tl.ordinal_model(frame, **TRUST, covariates=c) for c in ("trial", ["trial"]))
     pd.testing.assert_frame_equal(one.table(), listed.table())
 
 
 def test_names_and_levels_may_be_numbers():
     """Columns that are called by numbers were not found, and pairs of levels were texts."""
-    names = {"trust": 2, "mode": 3, "trial": 4}
     frame = ratings().replace({"mode": {"a": 1, "b": 2, "c": 10, "d": 20}})
-    frame = frame.assign(trial=frame["trial"].map({"x": 0, "y": 1, "z": 2}))
-    texts = tl.ordinal_model(frame, "trust", "mode", "person", covariates="trial")
-    found = tl.ordinal_model(frame.rename(columns=names), 2, 3, "person", covariates=4)
+    texts = tl.ordinal_model(frame, **TRUST, covariates="trial")
+    numbered = frame.rename(columns={"trust": 2, "mode": 3, "trial": 4})
+    found = tl.ordinal_model(numbered, 2, 3, "person", covariates=4)
     pd.testing.assert_frame_equal(found.pairs(), texts.pairs())
     assert found.pairs()["b"].tolist() == [2, 10, 20, 10, 20, 20]
     np.testing.assert_array_equal(found.probabilities(), texts.probabilities())
     assert found.probabilities().columns[0] == 3
-    with pytest.raises(ValueError, match="1 are numbers in a formula; rename the column"):
-        tl.ordinal_model(frame.rename(columns={"mode": 1}), "trust", 1, "person")
+    with refused("1 are numbers in a formula; rename the column"):
+        tl.ordinal_model(numbered.rename(columns={3: 1}), 2, 1, "person")
 
 
 def test_a_condition_that_all_answer_alike_is_refused():

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from tests.cases import refused
 from tests.studies.scores import reference
 from trustlab.studies.questionnaires import (
     NASA_TLX,
@@ -26,21 +27,15 @@ WEIGHTS = [5, 0, 4, 3, 2, 1]
 WHO = {"subject": "pid", "condition": "scheme"}
 
 
-@pytest.fixture
-def tlx():
-    rows = [
+TLX = pd.DataFrame(
+    [
         ("s1", "M", 80, 20, 60, 40, 70, 50),
         ("s1", "TMIG", 40, 10, 30, 20, 35, 15),
         ("s2", "M", 100, 0, 95, 5, 55, 45),
         ("s2", "TMIG", 25, 5, 10, 100, 20, 0),
-    ]
-    return pd.DataFrame(rows, columns=["pid", "scheme", *NASA_TLX.items])
-
-
-def put(frame, row, column, value):
-    frame = frame.astype({column: object})
-    frame.loc[row, column] = value
-    return frame
+    ],
+    columns=["pid", "scheme", *NASA_TLX.items],
+)
 
 
 def weights_of(**people):
@@ -50,9 +45,9 @@ def weights_of(**people):
 # NASA-TLX
 
 
-def test_weights_are_those_of_the_subject(tlx):
+def test_weights_are_those_of_the_subject():
     weights = weights_of(s2=WEIGHTS, s1=[0, 5, 4, 3, 2, 1])
-    scores = score(tlx, NASA_TLX, **WHO, weights=weights).table()
+    scores = score(TLX, NASA_TLX, **WHO, weights=weights).table()
     assert list(scores.columns) == ["pid", "scheme", "tlx_raw", "tlx_weighted"]
     assert scores["pid"].tolist() == ["s1", "s1", "s2", "s2"]
     by_hand = (0 * 80 + 5 * 20 + 4 * 60 + 3 * 40 + 2 * 70 + 1 * 50) / 15
@@ -87,48 +82,38 @@ def test_any_fifteen_choices_are_accepted_and_the_scores_stay_in_range(picks, an
 def test_the_pair_without_a_choice_is_named():
     choices = choices_of([True] * 15)
     lacking = r"subject 's' .* 14 rows, and not one for \[\('mental', 'temporal'\)\]"
-    with pytest.raises(ValueError, match=lacking):
+    with refused(lacking):
         tlx_weights(choices.drop(index=1))
-    with pytest.raises(ValueError, match=r"16 rows, and not one for \[\('mental', 'physical'\)\]"):
+    with refused(r"16 rows, and not one for \[\('mental', 'physical'\)\]"):
         tlx_weights(pd.concat([choices, choices.iloc[:1]]))
 
 
-def test_answers_given_twice_are_refused(tlx):
-    with pytest.raises(ValueError, match="one row per subject"):
-        score(pd.concat([tlx, tlx]), NASA_TLX, **WHO)
-
-
-def test_other_forms_are_stretched(tlx):
-    frame = tlx.assign(**dict.fromkeys(NASA_TLX.items, 2))
+def test_other_forms_are_stretched():
+    frame = TLX.assign(**dict.fromkeys(NASA_TLX.items, 2))
     scores = score(frame, replace(NASA_TLX, low=1, high=20, step=1), **WHO).scores
     assert scores["tlx_raw"].to_numpy() == pytest.approx(100 / 19, abs=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("row", "column", "value", "words"),
+    ("change", "message"),
     [
-        (0, "mental", 10**400, "column 'mental' holds 1000.* in row 0"),
-        (2, "effort", -5, "effort of subject s2, M is -5, not on the scale"),
-        (3, "physical", None, "answers: column 'physical' has nothing in row 3"),
+        ({"answers": pd.concat([TLX, TLX])}, "one row per subject"),
+        ({"answers": TLX.replace({"effort": 55}, -5)}, "effort of subject s2, M is -5, not on the"),
+        ({"weights": weights_of(s1=WEIGHTS)}, "of subject s2, M are not those of fifteen choices"),
+        (
+            {"weights": weights_of(s1=WEIGHTS, s2=[4.5, 0.5, 4, 3, 2, 1])},
+            "of subject s2, M are not those of fifteen choices",
+        ),
+        # They were dropped in silence.
+        (
+            {"weights": weights_of(s1=WEIGHTS, s2=WEIGHTS, s3=WEIGHTS)},
+            r"weights: \['s3'\] did not answer",
+        ),
     ],
 )
-def test_bad_answers_are_named(tlx, row, column, value, words):
-    with pytest.raises(ValueError, match=words):
-        score(put(tlx, row, column, value), NASA_TLX, **WHO)
-
-
-@pytest.mark.parametrize(
-    "weights",
-    [
-        weights_of(s1=WEIGHTS),
-        weights_of(s1=WEIGHTS, s2=[6, 0, 4, 3, 2, 0]),
-        weights_of(s1=WEIGHTS, s2=[5, 0, 4, 3, 2, 2]),
-        weights_of(s1=WEIGHTS, s2=[4.5, 0.5, 4, 3, 2, 1]),
-    ],
-)
-def test_the_subject_without_weights_or_with_impossible_ones_is_named(tlx, weights):
-    with pytest.raises(ValueError, match="of subject s2, M are not those of fifteen choices"):
-        score(tlx, NASA_TLX, **WHO, weights=weights)
+def test_answers_and_weights_that_are_none_are_named(change, message):
+    with refused(message):
+        score(**{"answers": TLX, "questionnaire": NASA_TLX} | WHO | change)
 
 
 def test_landau_condition_equals_brute_force():
@@ -192,7 +177,7 @@ def test_scores_by_hand(questionnaire, answers, expected):
 
 def test_what_questionnaires_say_of_themselves():
     for step, words in ((1.0, " in steps of 1;"), (None, ";")):
-        with pytest.raises(ValueError, match=f"comfort of .* is 6, not on .* from 1 to 5{words}"):
+        with refused(f"comfort of .* is 6, not on .* from 1 to 5{words}"):
             score(one_row(**SMALL | {"comfort": 6}), replace(satisfaction_scale(5), step=step))
     # The questionnaire of the large studies has no invented items.
     asked = satisfaction_scale(7, items=3)
@@ -218,38 +203,29 @@ def test_alpha_agrees_with_r(name):
 
 
 def test_items_without_an_alpha_are_refused():
-    with pytest.raises(ValueError, match="sums that differ"):
+    with refused("sums that differ"):
         cronbach_alpha(pd.DataFrame({"a": [1, 2, 3], "b": [3, 2, 1]}))
-    with pytest.raises(ValueError, match="items: column 'b' has nothing in row 1"):
+    with refused("items: column 'b' has nothing in row 1"):
         cronbach_alpha(pd.DataFrame({"a": [1, 2, 3], "b": [3, np.nan, 1]}))
 
 
-def test_two_items_of_one_name_are_refused():
-    """Both were left out together."""
-    items = pd.DataFrame([[1, 2, 1], [2, 2, 3], [4, 5, 4]], columns=["q1", "q2", "q1"])
-    with pytest.raises(ValueError, match="2 columns are named 'q1'"):
-        cronbach_alpha(items)
+NAMES = ["mood_mean", "mood_sum", "subject"]
+TAKEN = {name: replace(MOOD, subscales={name: ["a"]}) for name in NAMES}
+LOAD = {"questionnaire": replace(MOOD, task_load=True), "weights": one_row(a=5, b=5, c=5)}
 
 
-@pytest.mark.parametrize("name", ["ease_mean", "ease_sum", "subject"])
-def test_a_subscale_named_like_another_column_is_refused(name):
-    """It took the place of the score."""
-    ease = Questionnaire("ease", ["a", "b"], 1, 5, subscales={name: ["a"]})
-    with pytest.raises(ValueError, match=f"subscales: '{name}' is another column of the scores"):
-        score(one_row(a=1, b=2), ease)
-
-
-@pytest.mark.parametrize("more", [{"condition": "subject"}, {"subject": "a"}])
-def test_no_column_has_two_roles(more):
-    """The errors were those of pandas, or an item was the subject."""
-    with pytest.raises(ValueError, match="columns must be different for every argument"):
-        score(one_row(a=5.0, b=5.0, c=5.0), MOOD, **more)
-
-
-def test_weights_are_for_six_items():
-    load = replace(MOOD, task_load=True)
-    with pytest.raises(ValueError, match="weights are for six items of a task load index"):
-        score(one_row(a=5.0, b=5.0, c=5.0), load, weights=one_row(a=5, b=5, c=5))
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        # An item was the subject, and a subscale took the place of the score.
+        ({"subject": "a"}, "columns must be different for every argument"),
+        *(({"questionnaire": TAKEN[name]}, f"'{name}' is another column of the") for name in TAKEN),
+        (LOAD, "weights are for six items of a task load index"),
+    ],
+)
+def test_what_cannot_be_scored_is_refused(change, message):
+    with refused(message):
+        score(**{"answers": one_row(a=5.0, b=5.0, c=5.0), "questionnaire": MOOD} | change)
 
 
 def test_choices_have_rows_and_an_index_has_no_part_in_them():
@@ -257,12 +233,5 @@ def test_choices_have_rows_and_an_index_has_no_part_in_them():
     pd.testing.assert_frame_equal(
         tlx_weights(choices.set_index("subject", drop=False)), tlx_weights(choices)
     )
-    with pytest.raises(ValueError, match="column 'subject' has no rows"):
+    with refused("column 'subject' has no rows"):
         tlx_weights(choices[:0])
-
-
-def test_weights_of_somebody_who_did_not_answer_are_refused(tlx):
-    """They were dropped in silence."""
-    weights = weights_of(s1=WEIGHTS, s2=WEIGHTS, s3=WEIGHTS)
-    with pytest.raises(ValueError, match=r"weights: \['s3'\] did not answer"):
-        score(tlx, NASA_TLX, **WHO, weights=weights)

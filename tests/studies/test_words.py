@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from tests.studies.scores import COLUMNS, drawn, long
+from tests.studies.scores import COLUMNS, long
 from trustlab.studies.words import apa_number, apa_p, printed
 
 
@@ -98,33 +98,20 @@ def test_a_table_for_reading():
     pd.testing.assert_frame_equal(frame, before)
 
 
-def test_pairs_have_the_interval_of_d_z():
-    scores = np.random.default_rng(1).normal(size=(9, 3)) + np.array([0.0, 2.0, 4.0])
-    result = tl.repeated_measures(long(scores), **COLUMNS)
-    row = result.pairs().iloc[1]
-    d, low, high = (apa_number(row[name]) for name in ("d_z", "d_z_low", "d_z_high"))
-    assert f"d_z = {d}, 95% CI [{low}, {high}]" in result.apa()
-    assert "(N = 9, correction" in result.apa()
-    strict = tl.repeated_measures(long(scores), **COLUMNS, alpha=0.001)
-    assert "(N = 9, α = 0.001, correction" in strict.apa()
-
-
-def test_one_participant_and_several():
-    frame = drawn(mode="ab")
-    for rows, words in (([3], "1 participant (1)."), ([3, 5], "2 participants (1, 2).")):
-        result = tl.repeated_measures(frame.drop(index=rows), **COLUMNS, missing="listwise")
-        assert result.apa().endswith(f"Left out for missing scores: {words}")
-
-
-def test_counts_beside_a_row_without_any_are_whole():
-    """One measure without a test made "n 10.00, df1 1.00" of the others."""
-    frame = pd.DataFrame({"n": [10.0, np.nan], "k": [2.0, np.nan], "df1": [1.0, np.nan]})
-    texts = printed(frame)
-    assert texts.to_dict("list") == {"n": ["10", ""], "k": ["2", ""], "df1": ["1", ""]}
-
-
-def test_a_bayes_factor_of_any_size_is_seen():
-    """That of 0.0004 beside greater ones was 0.00."""
-    texts = printed(pd.DataFrame({"bf01": [3.1, 0.0004, 1e-15], "bf10": [0.32, 2500.0, 1e15]}))
-    assert texts["bf01"].tolist() == ["3.1", "0.0004", "1e-15"]
-    assert texts["bf10"].tolist() == ["0.32", "2.5e+03", "1e+15"]
+@pytest.mark.parametrize(
+    "columns",
+    [
+        # One measure without a test made "n 10.00, df1 1.00" of the others.
+        {"n": {10.0: "10", np.nan: ""}, "df1": {1.0: "1", np.nan: ""}},
+        # A Bayes factor of 0.0004 beside greater ones was 0.00.
+        {"bf01": {3.1: "3.1", 0.0004: "0.0004", 1e-15: "1e-15"}},
+        {"bf10": {0.32: "0.32", 2500.0: "2.5e+03", 1e15: "1e+15"}},
+        # Robot performance was printed as a p-value.
+        {"p_r": {1.0: "1.00", 0.35: "0.35"}, "p_h": {-0.2: "−0.20", 0.41: "0.41"}},
+        {"shapiro_p": {0.17: ".170"}},
+    ],
+)
+def test_columns_for_reading(columns):
+    texts = printed(pd.DataFrame({name: [*cells] for name, cells in columns.items()}))
+    expected = {name.replace("_", " "): [*cells.values()] for name, cells in columns.items()}
+    assert texts.to_dict("list") == expected

@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 
 import trustlab as tl
+from tests.cases import refused
 from trustlab.trust.comparison import recover_trust_models
 from trustlab.trust.dynamics import MODELS
 from trustlab.trust.likelihood import predict, simulate_ratings
@@ -16,12 +17,8 @@ from trustlab.trust.panel import panel_until
 FAST = ["performance", "asymmetric", "persistence", "habit"]
 
 
-@pytest.fixture(scope="module")
-def compared():
-    return tl.compare_trust_models(tl.read_people("hybrid_vr"), FAST, folds=3)
-
-
-def test_pairs_are_paired(compared):
+def test_pairs_are_paired():
+    compared = tl.compare_trust_models(tl.read_people("hybrid_vr"), FAST, folds=3)
     scores = compared.scores[compared.scores["split"] == "people"]
     wide = scores.pivot_table("free_error", "person", "model")
     test = stats.ttest_rel(wide["asymmetric"], wide["performance"])
@@ -35,24 +32,8 @@ def test_pairs_are_paired(compared):
         "split == 'people' and measure == 'free_error' and model == 'performance'"
     )
     assert back["difference"].item() == pytest.approx(-row["difference"].item())
-    with pytest.raises(ValueError, match="did you mean 'performance'"):
+    with refused("did you mean 'performance'"):
         compared.paired(against="perfomance")
-
-
-def test_last_third_is_not_fitted_and_predicted_freely(compared):
-    """Changing ratings of the last third changes no fit, and a free run uses none of them."""
-    panel = tl.read_people("hybrid_vr")
-    ratings = panel.ratings.copy()
-    ratings[:, 8:] = 0.5
-    changed = replace(panel, ratings=ratings)
-    fit = tl.trust.fitting.fitted(panel_until(panel, 7), MODELS["performance"])
-    again = tl.trust.fitting.fitted(panel_until(changed, 7), MODELS["performance"])
-    np.testing.assert_array_equal(fit.coordinates, again.coordinates)
-    free = [predict(fit.model, p, free=True, known=7).mean for p in (panel, changed)]
-    np.testing.assert_array_equal(free[0], free[1])
-    scores = compared.scores.query("split == 'last third' and model == 'performance'")
-    expected = np.square(free[0] - panel.ratings[:, 1:])[:, 7:].mean(axis=1)
-    np.testing.assert_allclose(scores["free_error"], expected, atol=2e-4)
 
 
 def test_coverage_of_the_true_model_is_nominal():
@@ -110,22 +91,17 @@ def test_the_last_third_is_each_persons_own():
 
 def test_bad_input_is_named():
     panel = tl.read_people("hybrid_vr")
-    with pytest.raises(ValueError, match="model must be one of"):
-        tl.fit_trust(panel, "asymetric")
-    with pytest.raises(ValueError, match="folds=3"):
+    with refused("folds=3"):
         tl.compare_trust_models(panel.of(range(3)), FAST)
-    with pytest.raises(ValueError, match="and there is one;"):
+    with refused("and there is one;"):
         tl.compare_trust_models(panel.of([0]), FAST)
-    with pytest.raises(ValueError, match="against must be one of 'beta'"):
-        tl.compare_trust_models(panel, ["beta"], against="performance")
     for models in ("beta", []):
-        with pytest.raises(ValueError, match=r"models must be several, or \[one\]"):
+        with refused(r"models must be several, or \[one\]"):
             tl.compare_trust_models(panel, models)
     ratings = panel.ratings.copy()
     ratings[:, 1:] = np.nan
-    unrated = replace(panel, ratings=ratings)
-    with pytest.raises(ValueError, match="no rating after an event"):
-        tl.fit_trust(unrated)
+    with refused("no rating after an event"):
+        tl.fit_trust(replace(panel, ratings=ratings))
 
 
 def rated(*rows):

@@ -20,8 +20,7 @@ def test_trust_in_the_loop_is_the_models_on_the_loops_performance(name):
     model = MODELS[name]()
     driver = tl.trust.TrustInLoop(model, every=0.5, start=0.4)
     run = tl.simulate_teleoperation("TMIG", trust=driver, seed=0, duration=4.0)
-    signals = run.signals if hasattr(run, "signals") else run.data
-    p_r, trust = np.asarray(signals["p_r"]), np.asarray(signals["trust_hr"])
+    p_r, trust = run["p_r"], run["trust_hr"]
     belief = model.start(np.array([0.4]))
     trials = len(p_r) // 50
     for k in range(trials - 1):

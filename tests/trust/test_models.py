@@ -7,11 +7,11 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import optimize, stats
 
 import trustlab as tl
+from tests.cases import refused
 from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.interface import NormalRating, cell, coordinates_of, with_parameters
 from trustlab.trust.likelihood import log_likelihood
@@ -37,21 +37,11 @@ def panel(people=1, trials=10, seed=0, resolution=1e-4):
     return tl.trust.Panel(tuple(range(people)), tl.trust.Event(**signals), ratings, resolution)
 
 
-def mean_course(model, p_r, first=0.6, **signals):
-    """Expected trust without a rating after the first."""
-    belief, course = model.start(np.array([first])), []
-    for k, p in enumerate(p_r):
-        event = {name: np.array([values[k]]) for name, values in signals.items()}
-        belief = model.step(belief, tl.trust.Event(p_r=np.array([p]), **event))
-        course.append(float(model.rating(belief).mean[0]))
-    return np.array(course)
-
-
-def test_performance_is_the_dissertations_model():
-    model = MODELS["performance"](a=0.3, gain=0.7)
-    printed = tl.TrustModel(a=0.3, b=0.21)
-    expected = printed.simulate(np.append(SUCCESS, 0.0), sample_time=1.0, trust0=0.6)[1:]
-    np.testing.assert_allclose(mean_course(model, SUCCESS), expected, atol=1e-14)
+def saw(p_r, ratings, resolution):
+    """People who saw how a robot performed, and nothing else."""
+    usual = tl.trust.Event(*(np.full(np.shape(p_r), value) for value in tl.trust.Event()))
+    names = tuple(range(len(ratings)))
+    return tl.trust.Panel(names, usual._replace(p_r=np.array(p_r)), np.array(ratings), resolution)
 
 
 def test_decision_field_by_hand():
@@ -63,8 +53,8 @@ def test_decision_field_by_hand():
     person = confidence = 0.5
     wish = 0.1
     for k in range(10):
-        event = {"mode": mode[k], "p_h": p_h[k], "seen": 1.0 - mode[k], "p_r": SUCCESS[k]}
-        belief = model.step(belief, tl.trust.Event(**{n: np.array([v]) for n, v in event.items()}))
+        p, own, shown = SUCCESS[k : k + 1], p_h[k : k + 1], mode[k : k + 1]
+        belief = model.step(belief, tl.trust.Event(p_r=p, p_h=own, mode=shown, seen=1.0 - shown))
         robot += 0.1 * (0.6 - robot) if mode[k] else 0.4 * (SUCCESS[k] - robot)
         person += 0.4 * (p_h[k] - person) if mode[k] else 0.1 * (0.5 - person)
         trust += 0.3 * (robot - trust)
@@ -97,14 +87,10 @@ def test_grid_is_kalmans_filter_far_from_the_ends():
         def transition(self, event):
             return 1.0, -0.02 + 0.04 * event.p_r
 
-    for k, (one, two) in enumerate(
-        zip(
-            tl.trust.predict(grid, people).distributions,
-            tl.trust.predict(Walk(process_sd=0.04, rating_sd=0.06), people).distributions,
-            strict=True,
-        )
-    ):
-        np.testing.assert_allclose(one.mean, two.mean, atol=2e-4, err_msg=str(k))
+    walk = Walk(process_sd=0.04, rating_sd=0.06)
+    courses = (tl.trust.predict(model, people).distributions for model in (grid, walk))
+    for one, two in zip(*courses, strict=True):
+        np.testing.assert_allclose(one.mean, two.mean, atol=2e-4)
         np.testing.assert_allclose(one.mass(0.4, 0.5), two.mass(0.4, 0.5), atol=2e-3)
 
 
@@ -138,19 +124,6 @@ def test_counts_begin_within_the_scale_and_in_its_middle_without_a_rating():
 def test_ranges_are_open_or_end_at_1():
     ranges = [each for model in MODELS.values() for each in model.parameters().values()]
     assert {high for _, _, high in ranges} == {1.0, np.inf}
-
-
-def test_later_ratings_do_not_enter_a_simulation():
-    people = panel(3, resolution=0.1)
-    later = people.ratings.copy()
-    later[:, 1:] = 0.0
-    drawn, same = (
-        tl.trust.simulate_ratings(
-            MODELS["performance"](), replace(people, ratings=ratings), np.random.default_rng(0)
-        ).ratings
-        for ratings in (people.ratings, later)
-    )
-    np.testing.assert_array_equal(drawn, same)
 
 
 def matrices(name, truth, signals):
@@ -257,9 +230,9 @@ def test_baselines_are_what_they_say():
     np.testing.assert_allclose(running, so_far[:, :-1], atol=1e-12)
     persistent = BASELINES["persistence"](process_sd=1.0, rating_sd=0.001)
     np.testing.assert_allclose(means(persistent, people), people.ratings[:, :-1], atol=1e-5)
-    followed = np.array([[1.0, 1.0, np.nan, 0.0]] * 2)
-    events = people.events._replace(**{n: v[:2, :4] for n, v in people.events._asdict().items()})
-    habit = tl.trust.Panel((1, 2), events._replace(followed=followed), people.ratings[:2, :5], 0.01)
+    events = tl.trust.Event(*(signal[:, :4] for signal in people.events))
+    events = events._replace(followed=np.array([[1.0, 1.0, np.nan, 0.0]] * 4))
+    habit = replace(people, events=events, ratings=people.ratings[:, :5])
     odds = tl.trust.predict(BASELINES["habit"](), habit).preference[0]
     np.testing.assert_allclose(np.exp(odds), [1.0, 2.0, 3.0, 3.0])
 
@@ -275,29 +248,30 @@ TRUTH = {
 }
 
 
+def simulated(name, people, seed, noise):
+    """What people of a model rate."""
+    events = panel(people, seed=seed, resolution=0.01)
+    truth = MODELS[name](**TRUTH[name])
+    return tl.trust.simulate_ratings(truth, events, np.random.default_rng(noise))
+
+
 @pytest.mark.parametrize("name", TRUTH)
 def test_parameters_return_from_simulations(name):
     """Every parameter that the data determine lies within twice its interval."""
-    people = 5 if name == "optimo" else 40
-    truth = MODELS[name](**TRUTH[name])
-    drawn = tl.trust.simulate_ratings(
-        truth, panel(people, seed=3, resolution=0.01), np.random.default_rng(4)
-    )
-    fit = tl.fit_trust(drawn, name)
+    fit = tl.fit_trust(simulated(name, 5 if name == "optimo" else 40, seed=3, noise=4), name)
     low, high = fit.ends
-    error = coordinates_of(truth) - fit.coordinates
+    error = coordinates_of(MODELS[name](**TRUTH[name])) - fit.coordinates
     reach = np.where(error > 0.0, high - fit.coordinates, fit.coordinates - low)
     assert np.isfinite(reach).sum() >= 3
-    assert (np.abs(error) < 2.0 * reach).all(), dict(zip(truth.parameters(), error, strict=True))
+    assert (np.abs(error) < 2.0 * reach).all(), dict(
+        zip(MODELS[name].parameters(), error, strict=True)
+    )
 
 
 @pytest.mark.parametrize("name", ["performance", "decision_field"])
 def test_ends_are_where_the_likelihood_has_fallen(name):
     """SciPy fits the other parameters anew: twice the log-likelihood is 3.84 lower there."""
-    truth = MODELS[name](**TRUTH[name])
-    drawn = tl.trust.simulate_ratings(
-        truth, panel(30, resolution=0.01), np.random.default_rng(1000)
-    )
+    drawn = simulated(name, 30, seed=0, noise=1000)
     fit = tl.fit_trust(drawn, name)
     for ends in fit.ends:
         for i, end in enumerate(ends):
@@ -365,10 +339,7 @@ def test_intervals_cover_as_they_say(name):
     runs = 12 if name == "optimo" else 40
     hits = []
     for seed in range(runs):
-        people = panel(60, seed=seed, resolution=0.01)
-        model = MODELS[name](**TRUTH[name])
-        drawn = tl.trust.simulate_ratings(model, people, np.random.default_rng(1000 + seed))
-        low, high = tl.fit_trust(drawn, name).ends
+        low, high = tl.fit_trust(simulated(name, 60, seed, 1000 + seed), name).ends
         hits.append((low <= truth) & (truth <= high))
     share = np.mean(hits, axis=0)
     said = np.array([COVERED.get((name, each), 0.95) for each in MODELS[name].parameters()])
@@ -383,17 +354,14 @@ def rated_late(seed, people=20, trials=60, every=15):
     rng = np.random.default_rng(seed)
     success = (rng.uniform(size=(people, trials)) < 0.77).astype(float)
     trust = np.clip(rng.normal(0.6, 0.2, people), 0.0, 1.0)
-    rows = []
+    asked = np.full((people, trials + 1), np.nan)
     for k in range(trials):
         decay = np.exp(-0.005)
         trust = decay * trust + (1.0 - decay) * 0.75 * success[:, k] + rng.normal(0, 0.03, people)
         ratings = np.clip(trust + rng.normal(0.0, 0.03, people), 0.0, 1.0)
-        asked = ratings if (k + 1) % every == 0 else np.full(people, np.nan)
-        rows += [(i, k, asked[i], success[i, k]) for i in range(people)]
-    frame = pd.DataFrame(rows, columns=["id", "t", "y", "p"])
-    columns = {"person": "id", "trial": "t", "rating": "y", "p_r": "p"}
-    recipe = {"columns": columns, "low": 0, "high": 1, "resolution": 0.04, "before": False}
-    return tl.read_people(frame, recipe)
+        if (k + 1) % every == 0:
+            asked[:, k + 1] = ratings
+    return saw(success, asked, 0.04)
 
 
 @pytest.mark.parametrize(
@@ -420,10 +388,8 @@ def test_models_that_contain_the_performance_model_predict_as_it():
 
 def test_a_search_that_stops_outside_of_the_likelihood_gives_no_end():
     """Of two people: at every rate of change beyond .46 the log-likelihood is more than 2 lower."""
-    table = pd.DataFrame({"person": list("aaabbb"), "trial": [0, 1, 2] * 2})
-    table["rating"], table["p_r"] = [6, 6, 5, 4, 3, 4], [1, 1, 0, 1, 0, 1]
-    drawn = tl.read_people(table, {"low": 1, "high": 7})
-    fit = tl.fit_trust(drawn, "performance")
+    answers = np.array([[6, 6, 5], [4, 3, 4]])
+    fit = tl.fit_trust(saw([[1.0, 0.0], [0.0, 1.0]], (answers - 1) / 6, 1 / 6), "performance")
     assert fit.table().set_index("parameter").loc["a", "ci_high"] == pytest.approx(0.4486, abs=2e-3)
 
 
@@ -434,7 +400,7 @@ def test_a_model_that_gives_no_number_is_no_fit():
         def transition(self, event):
             return np.nan * event.p_r, event.p_r
 
-    with pytest.raises(ValueError, match="Broken predicts NaN, not a rating"):
+    with refused("Broken predicts NaN, not a rating"):
         tl.fit_trust(panel(5), Broken)
 
 
@@ -470,8 +436,7 @@ def test_the_likelihood_of_rounded_ratings_is_the_probability_of_their_cells(poi
     """Of the joint normal distribution of all; learned as points, they were off by .06 and more."""
     model = MODELS["performance"](a=0.3, gain=0.95, process_sd=0.04, rating_sd=0.04)
     answers = np.array([ratings]) / (points - 1)
-    events = tl.trust.Event(*(np.full((1, 3), value) for value in tl.trust.Event(p_r=1.0)))
-    people = tl.trust.Panel((0,), events, answers, 1.0 / (points - 1))
+    people = saw(np.ones((1, 3)), answers, 1.0 / (points - 1))
     keep = np.exp(-0.3 * np.arange(4))
     late = np.minimum.outer(np.arange(1, 4), np.arange(1, 4))
     apart = np.abs(np.subtract.outer(np.arange(1, 4), np.arange(1, 4)))
@@ -503,11 +468,7 @@ def latent(levels, seed, people=60):
             trust = trust + rng.normal(0.0, 0.04, people)
         answers = np.clip(trust + rng.normal(0.0, 0.04, people), 0.0, 1.0)
         ratings.append(np.round(answers * levels) / levels)
-    shape = people, 10
-    events = tl.trust.Event(*(np.full(shape, value) for value in tl.trust.Event()))
-    return tl.trust.Panel(
-        tuple(range(people)), events._replace(p_r=p), np.transpose(ratings), 1.0 / levels
-    )
+    return saw(p, np.transpose(ratings), 1.0 / levels)
 
 
 def test_noise_is_found_on_a_coarse_scale():
@@ -553,7 +514,5 @@ def test_expected_ratings_are_means_of_what_can_be_rated():
     ):
         drawn = np.clip(rating.draw(np.random.default_rng(0)), 0.0, 1.0)
         assert rating.expected[0] == pytest.approx(drawn.mean(), abs=0.01)
-    event = tl.trust.Event(*(np.full((1, 1), value) for value in tl.trust.Event()))
-    people = tl.trust.Panel((0,), event, np.array([[0.95, 0.9]]), 0.01)
     model = BASELINES["persistence"](process_sd=0.1, rating_sd=0.1)
-    assert tl.trust.predict(model, people).mean[0, 0] < 0.92
+    assert tl.trust.predict(model, saw([[1.0]], [[0.95, 0.9]], 0.01)).mean[0, 0] < 0.92

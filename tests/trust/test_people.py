@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
+from tests.cases import refused
 from trustlab.models.published import data_folder
 from trustlab.trust import people as sets
 from trustlab.trust.likelihood import log_likelihood
@@ -93,12 +94,6 @@ def test_a_labs_file_by_recipe(tmp_path):
     np.testing.assert_array_equal(panel.events.p_r, [[1, 0], [1, np.nan]])
     alike = tl.read_people(frame.assign(answer=4), {"columns": columns, "low": 1, "high": 7})
     assert alike.resolution == 0.01
-    with pytest.raises(ValueError, match="outside the scale from 1 to 5; low and high"):
-        tl.read_people(path, {"columns": columns, "low": 1, "high": 5})
-    with pytest.raises(ValueError, match="no column 'answers'"):
-        tl.read_people(path, {"columns": columns | {"rating": "answers"}})
-    with pytest.raises(ValueError, match="did you mean 'hybrid_vr'"):
-        tl.read_people("hybrid_vrr")
 
 
 def test_missing_events_change_nothing():
@@ -125,10 +120,6 @@ def test_a_recipe_may_be_a_file_scale_performance_and_lack_a_first_rating(tmp_pa
     np.testing.assert_array_equal(panel.events.p_r, [[1.0, 0.0], [0.5, np.nan]])
     np.testing.assert_array_equal(panel.ratings, [[np.nan, 1.0, 0.0], [np.nan, 0.5, np.nan]])
     assert panel.cautions == ("Mine.",)
-    with pytest.raises(ValueError, match=r"recipe's key.*'colums'.*did you mean 'columns'"):
-        tl.read_people(frame, {"colums": {}})
-    with pytest.raises(ValueError, match=r"'ratng'.*did you mean 'rating'"):
-        tl.read_people(frame.assign(rating=0.5), {"columns": {"ratng": "rating"}})
 
 
 def test_a_live_study_is_a_panel(tmp_path):
@@ -163,15 +154,12 @@ def rows(**columns):
         ({"rating": ["a", *[0.5] * 5]}, "row 0 .* rating 'a'"),
         ({"p_r": [np.nan, 1, 1, np.nan, np.nan, 1]}, "row 4 .* p_r nan; it must not be missing"),
         ({"p_h": 55.0}, "row 1 .* p_h 55.0, outside the scale from 0 to 1"),
-        ({"followed": 7.0}, "followed 7.0"),
         ({"dt": -1.0}, "dt -1.0, outside the scale from 0 to inf"),
-        ({"mode": 3.0}, "mode 3.0"),
-        ({"seen": -4.0}, "seen -4.0"),
     ],
 )
 def test_rows_that_are_no_trials_are_refused(columns, message):
     """They were counted as further trials, sorted by the alphabet, or fitted as they were."""
-    with pytest.raises(ValueError, match=message):
+    with refused(message):
         tl.read_people(rows(**columns))
 
 
@@ -184,7 +172,12 @@ def test_trials_in_text_are_in_the_order_of_numbers():
 @pytest.mark.parametrize(
     ("name", "recipe", "message"),
     [
+        ("hybrid_vrr", None, "did you mean 'hybrid_vr'"),
         ("hybrid_vr", {"low": 1, "high": 99}, "'hybrid_vr' .* recipe of its own"),
+        (rows(), {"colums": {}}, "recipe's key.*'colums'.*did you mean 'columns'"),
+        (rows(), {"columns": {"ratng": "rating"}}, "'ratng'.*did you mean 'rating'"),
+        (rows(), {"columns": {"rating": "answers"}}, "no column 'answers'"),
+        (rows(rating=7), {"low": 1, "high": 5}, "outside the scale from 1 to 5; low and high"),
         (rows(), {"before": "no"}, "before must be True or False"),
         (rows(), {"performance": [1, 1]}, "performance"),
         (rows(), {"performance": None}, "performance must be"),
@@ -198,7 +191,7 @@ def test_trials_in_text_are_in_the_order_of_numbers():
 )
 def test_a_recipe_without_effect_or_sense_is_refused(name, recipe, message):
     """ "no" was taken for True, and a public set's recipe for nothing."""
-    with pytest.raises(ValueError, match=message):
+    with refused(message):
         tl.read_people(name, recipe)
 
 
@@ -216,7 +209,7 @@ def test_a_file_that_is_no_table_is_named_with_what_to_do(tmp_path, content):
     """The errors were those of pandas."""
     path = tmp_path / "mine.csv"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"mine.csv: no table .* commas and decimal points"):
+    with refused(r"mine.csv: no table .* commas and decimal points"):
         tl.read_people(path)
-    with pytest.raises(ValueError, match=r"gone.toml: no recipe .* a file in TOML"):
+    with refused(r"gone.toml: no recipe .* a file in TOML"):
         tl.read_people(rows(), tmp_path / "gone.toml")
