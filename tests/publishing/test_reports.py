@@ -32,7 +32,7 @@ from tests.publishing.world import ROOT, make
 from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
 from trustlab.publishing import figures, only_parameters
 from trustlab.publishing.chapter import chapter, empty_chapter
-from trustlab.publishing.run import commit, provenance
+from trustlab.publishing.run import anonymous, commit, provenance
 from trustlab.publishing.tables import table_html
 from trustlab.reproduction.printed import half_unit
 from trustlab.reproduction.published import VERDICTS
@@ -306,8 +306,9 @@ def test_lab_gets_a_png_with_its_caption_and_the_book_an_svg_without(book, monke
         ),
         ({"estimate": [1.2345], "ci_low": [1.2], "ci_high": [1.3]}, "1.23 1.20 1.30"),
         ({"x": [100.01, 100.02]}, "100.01 100.02"),
+        ({"x": [9999.7, 0.1]}, "10000 0.1"),
     ],
-    ids=["standard error", "half of an interval", "difference"],
+    ids=["standard error", "half of an interval", "difference", "sizes"],
 )
 def test_a_number_has_the_decimals_that_its_error_or_a_difference_needs(columns, texts):
     table = table_html(pd.DataFrame(columns))
@@ -325,6 +326,11 @@ def test_provenance_lists_what_a_notebook_reads_and_names_no_path(tmp_path):
     origin = provenance(root, root / "notebooks" / "01_a.ipynb", run)
     assert origin["Commit"] == "not a git checkout"
     assert str(tmp_path) not in str(origin)
+
+
+def test_pages_stay_whole_where_there_is_no_home(monkeypatch):
+    monkeypatch.setenv("HOME", "/")
+    assert anonymous("<p>a/b</p>", ROOT) == "<p>a/b</p>"
 
 
 def test_the_commit_is_marked_where_a_file_is_changed_or_new(tmp_path):

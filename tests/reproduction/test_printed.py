@@ -59,6 +59,7 @@ def test_models_have_the_printed_parameters():
         (-0.24, "0.24", 0),
         (float("nan"), "0.24", 0),
         (123.4, "120", 2),
+        (1e27, "0.50", 0),
     ],
 )
 def test_matching_digits(ours, printed, digits):

@@ -107,7 +107,7 @@ class LiveCondition:
                 raise ValueError(
                     "thresholds go with weights of signals; those of TSC are each participant's own"
                 )
-        not_negative("notice", self.notice)
+        self.__dict__["notice"] = not_negative("notice", self.notice)
         if not flag("forced", self.forced):
             if self.notice != NOTICE:
                 raise ValueError("notice has no effect without forced=True; leave it out")
@@ -117,11 +117,12 @@ class LiveCondition:
             )
 
     def _check_rule(self, weights: Mapping[str, float]) -> None:
-        """Check a rule of one's own."""
-        for signal, weight in weights.items():
+        """Check a rule of one's own, whose numbers are kept as floats."""
+        for signal in weights:
             one_of("a signal of suggestions", signal, SIGNALS)
-            finite_number(f"the weight of {signal}", weight)
-        if not any(weights.values()):
+        numbers = {s: finite_number(f"the weight of {s}", weight) for s, weight in weights.items()}
+        self.__dict__["suggestions"] = numbers
+        if not any(numbers.values()):
             raise ValueError("a rule needs a weight that is not zero")
         if self.thresholds is None:
             raise ValueError("weights of signals need thresholds=(lower, upper)")

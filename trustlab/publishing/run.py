@@ -150,6 +150,8 @@ def anonymous(text: str, root: Path) -> str:
     data = os.environ.get("TRUSTLAB_DATA") or root / "data" / "external"
     places = {data: "TRUSTLAB_DATA", root: ".", sys.prefix: ".venv", Path.home(): "~"}
     for place, name in places.items():
+        if str(place) == os.sep:  # the home of who has none
+            continue
         text = text.replace(str(place), name)
     # A name begins where no part of it stands before: else long words would take their square.
     return re.sub(r"(?<![\w./~-])[\w./~-]*ipykernel_\d+/\d+\.py", "this notebook", text)

@@ -142,7 +142,8 @@ def cell(value: object, p: bool = False, decimals: int | None = None) -> str:
     if p:
         text = "&lt;\u00a0.001" if number < LEAST_P else f"{number:.3f}".removeprefix("0")
     elif decimals is None:
-        text = f"{number:.{DIGITS_ALONE}g}" if abs(number) < 10**DIGITS_ALONE else f"{number:.0f}"
+        many = round(abs(number)) >= 10**DIGITS_ALONE
+        text = f"{number:.0f}" if many else f"{number:.{DIGITS_ALONE}g}"
     else:
         text = f"{number:.{decimals}f}"
     return f'<data value="{number!r}">{text.replace("-", "−")}</data>'

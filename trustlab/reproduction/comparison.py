@@ -1,7 +1,7 @@
 """Computed numbers beside printed ones, digit by digit."""
 
 from collections.abc import Mapping
-from decimal import Decimal
+from decimal import Decimal, localcontext
 
 import numpy as np
 import pandas as pd
@@ -30,10 +30,11 @@ def matching_digits(value: float, printed: str) -> int:
     if not np.isfinite(value):
         return 0
     exact = Decimal(float(value))
-    for digits in range(len(target.as_tuple().digits), 0, -1):
-        unit = Decimal(1).scaleb(target.adjusted() - digits + 1)
-        if any(exact.quantize(unit, rule) == target.quantize(unit, rule) for rule in ROUNDINGS):
-            return digits
+    with localcontext(prec=400):  # of the greatest float to many decimals
+        for digits in range(len(target.as_tuple().digits), 0, -1):
+            unit = Decimal(1).scaleb(target.adjusted() - digits + 1)
+            if any(exact.quantize(unit, rule) == target.quantize(unit, rule) for rule in ROUNDINGS):
+                return digits
     return 0
 
 

@@ -36,7 +36,8 @@ def main() -> None:
 
     # The robot is stopped by a last command, for which ROS must still be there.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for ending in (signal.SIGTERM, signal.SIGHUP):  # the latter where a connection is lost
+        signal.signal(ending, signal.default_int_handler)
     node = rclpy.create_node("trustlab_allocation")
     path = folder / f"{Path(options.run).stem}_{time.strftime('%Y%m%d-%H%M%S')}.mcap"
     allocation = Allocation(node, run, path)

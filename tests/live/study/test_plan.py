@@ -225,3 +225,25 @@ def test_a_rule_of_ones_own_is_driven(make_plan):
     assert set(log["mode"]) == {0, 1}
     session = TASK.session(config, log.to_numpy())
     assert session.metadata.more["rule"] == {"p_h": -0.5, "r": 1.0}
+
+
+def test_a_study_in_the_folder_of_a_removed_one_knows_nothing_of_it(tmp_path):
+    """Everybody was locked out: their last lines were missing."""
+    links_path(tmp_path / "a").write_text('{"P01": "0123456789abcdef"}')
+    plan = tl.LiveStudy(tmp_path / "a", ["C1", "C3"], 2, rehearsal=True)
+    assert not tl.read_live_study(plan.folder).faults()["fault"].any()
+
+
+def test_whole_numbers_make_the_same_condition():
+    def condition(number):
+        rule = {"suggestions": {"r": number}, "thresholds": (0, number), "notice": 10 * number}
+        return tl.LiveCondition("slow", forced=True, **rule)
+
+    assert repr(condition(1)) == repr(condition(1.0))
+
+
+def test_links_that_are_not_here_are_named(tmp_path):
+    plan = tl.LiveStudy(tmp_path / "a", ["C1", "C3"], 2)
+    tokens_path(plan.folder).unlink()
+    with pytest.raises(ValueError, match="links of this study are not on this machine"):
+        StudyServer(plan, 0).__enter__()

@@ -38,7 +38,8 @@ export class Hands {
       this.down.delete(event.code);
       event.stopPropagation();
     });
-    listen(root, "blur", () => {
+    listen(root, "blur", (event) => {
+      if (root.contains(event.relatedTarget)) return; // its own button
       this.clear();
       onBlur();
     });

@@ -231,6 +231,7 @@ class LiveStudy:
             (self.folder / code).mkdir(exist_ok=True)
         tokens = {name: secrets.token_urlsafe(16) for name in (EXPERIMENTER, JOIN, *self.orders)}
         write_tokens(self.folder, tokens)
+        links_path(self.folder).unlink(missing_ok=True)  # of a study that was removed
         sync_folder(self.folder.parent)
         sync_folder(self.folder)
         write_atomically(self.folder / PLAN, json.dumps(self.content, indent=1) + "\n")

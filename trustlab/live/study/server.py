@@ -228,7 +228,15 @@ class Join(Frame):
 
     async def _place(self) -> dict:
         place = self.place() or await self.server.free_place()
-        self.set_cookie("place", place, httponly=True, samesite="Strict", path="/join")
+        self.set_cookie(
+            "place",
+            place,
+            expires_days=90,
+            httponly=True,
+            samesite="Strict",
+            secure=self.server.url.startswith("https:"),
+            path="/join",
+        )
         return {"link": f"/p/{place}"}
 
 
@@ -534,7 +542,7 @@ class StudyServer:
 
     def _open(self, files: ExitStack) -> None:
         """Open all that is served, and refuse what cannot be."""
-        self.holder("")
+        self.tokens = read_tokens(self.plan.folder)
         # Everybody has two logs, and the process some files of its own.
         own = 2 * len(self.plan.orders) + 50
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
