@@ -341,3 +341,12 @@ def test_stamps_since_1970_tell_their_unit(read, recwarn, tmp_path, unit, size, 
     if unit == "ns":  # a thousand times too long by such a recipe
         read("t,p_r\n" + rows, '[time]\nunit = "us"\nfrom_zero = true\n' + RULE)
         assert '[time] unit = "ns"' in str(recwarn.list[0].message)
+
+
+@pytest.mark.parametrize("word", ["none", "-", "NA", "null"])
+def test_an_entry_of_a_map_is_no_blank(word):
+    """The cell before was held over it."""
+    frame = pd.DataFrame({"t": range(5), "s": ["manual", word, "auto", word, ""]})
+    entries = f'{{ "{word}" = -1, manual = 1, auto = 0 }}'
+    text = f'[columns]\nsuggested_mode = {{ column = "s", map = {entries}, blank = "hold" }}'
+    assert read_frame(frame, table_recipe(text))["suggested_mode"].tolist() == [1, -1, 0, -1, -1]

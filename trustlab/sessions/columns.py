@@ -20,6 +20,7 @@ from trustlab.sessions.recipe import (
     Resampling,
     TableTime,
     looked_up,
+    plain_key,
 )
 from trustlab.sessions.resampling import RawLog, Stream, require_common_times, resample
 from trustlab.sessions.session import (
@@ -155,10 +156,11 @@ def numbers(table: Table, rule: ColumnRule | None = None) -> np.ndarray:
 def _number(cell: object, mapped: ColumnRule | None, decimal: str) -> float:
     """Return the number of a cell as it is written, or by the map of a rule."""
     written = str(cell).strip()
-    if written in BLANKS and (mapped is None or mapped.blank):
-        return math.nan
-    if mapped and mapped.map:
+    blank = written in BLANKS
+    if mapped and (plain_key(written) in mapped.map or not (blank and mapped.blank)):
         return looked_up(mapped.map, cell)
+    if blank:
+        return math.nan
     # With a decimal comma a point has no meaning: "!" makes such a number fail.
     text = written if decimal == "." else written.replace(".", "!").replace(",", ".")
     if NUMBER.fullmatch(text):
