@@ -350,3 +350,13 @@ def test_an_entry_of_a_map_is_no_blank(word):
     entries = f'{{ "{word}" = -1, manual = 1, auto = 0 }}'
     text = f'[columns]\nsuggested_mode = {{ column = "s", map = {entries}, blank = "hold" }}'
     assert read_frame(frame, table_recipe(text))["suggested_mode"].tolist() == [1, -1, 0, -1, -1]
+
+
+@pytest.mark.parametrize("start", [1.7e9, 1396293889.454])
+@pytest.mark.parametrize("step", [0.1, 0.02, 0.001])
+def test_the_last_sample_of_dates_in_seconds_is_not_lost(start, step):
+    """Rounding of 0.24 µs cost it."""
+    for count in range(2, 40):
+        frame = pd.DataFrame({"t": start + step * np.arange(count), "p_r": np.arange(count) / 40})
+        session = read_frame(frame, resample="previous", sample_time=step)
+        assert session["p_r"].tolist() == frame["p_r"].tolist()

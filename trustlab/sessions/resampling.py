@@ -84,7 +84,6 @@ def resample(log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule
         fault = f"{early.topic!r} ends {start - stop:.6g} s before {late.topic!r} starts"
         hint = "set hold = true for a topic whose last message holds to the end"
         raise SessionError(f"topics do not overlap: {fault} ({hint})")
-    grid = _time_grid(float(start), float(stop), sample_time)
     # A grid time that rounding put just before a sample belongs to that sample; dates in seconds
     # are rounded to 0.24 µs.
     slack = np.clip(
@@ -92,6 +91,7 @@ def resample(log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule
         1e-6 * sample_time,
         0.5 * sample_time,
     )
+    grid = _time_grid(float(start), float(stop), sample_time, slack)
     columns = {
         name: _interpolate(stream, name, grid, slack, _method(name, method, rules.get(name)))
         for stream in log.streams
@@ -106,16 +106,15 @@ def resample(log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule
     return pd.DataFrame(columns, index=grid)
 
 
-def _time_grid(start: float, stop: float, sample_time: float) -> np.ndarray:
+def _time_grid(start: float, stop: float, sample_time: float, slack: float) -> np.ndarray:
     """Return start, start + sample_time … up to stop, which is not passed."""
-    steps = (stop - start) / sample_time
-    if not 1.0 <= steps + 1e-9 < MAX_SAMPLES:
+    steps = (stop - start + slack) / sample_time  # rounding must not cost the last sample
+    if not 1.0 <= steps < MAX_SAMPLES:
         raise SessionError(
             f"resampling {stop - start:.6g} s to {sample_time:g} s would make {steps + 1.0:.3g} "
             f"samples, but 2 to {MAX_SAMPLES:,} are needed; check the times and their unit"
         )
-    count = int(steps + 1e-9) + 1  # rounding must not cost the last sample
-    return np.minimum(start + sample_time * np.arange(count), stop)
+    return np.minimum(start + sample_time * np.arange(int(steps) + 1), stop)
 
 
 def _method(name: str, method: str, rule: ColumnRule | None) -> str:
