@@ -225,3 +225,19 @@ def test_missing_pages_of_a_database_would_read_as_zeros(tmp_path, monkeypatch):
     # Negative control: without the check of its size, a number is another one.
     monkeypatch.setattr("trustlab.sessions.bags._check_database", lambda file: None)
     assert (read_session(path, bag_recipe(ERROR))["path_error"] != values).sum() == 1
+
+
+@pytest.mark.parametrize("resampled", [True, False])
+@pytest.mark.parametrize("stray", [5.0, 5.04])
+def test_a_stray_message_on_each_topic_makes_no_part(tmp_path, resampled, stray):
+    """It made the whole log unreadable."""
+    bag = Bag(tmp_path / "a.mcap")
+    for topic, between in (("/e", 5.0), ("/p", stray if resampled else 5.0)):
+        for t in [*np.arange(20) / 10, between, *(9 + np.arange(20) / 10)]:
+            bag.add(topic, t, NUMBER, data=0.5)
+    bag.write()
+    text = f'[files]\npattern = "a.mcap"\n{RESAMPLED if resampled else ""}[splitting]\ngap = 1.0\n'
+    recipe = bag_recipe(text + ERROR + 'p_r = { topic = "/p", field = "data" }\n')
+    sessions = read_sessions(tmp_path, recipe)
+    assert [len(session) for session in sessions] == [20, 20]
+    assert sessions[0].metadata.more["split"].endswith("1 too short")

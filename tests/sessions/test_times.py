@@ -360,3 +360,15 @@ def test_the_last_sample_of_dates_in_seconds_is_not_lost(start, step):
         frame = pd.DataFrame({"t": start + step * np.arange(count), "p_r": np.arange(count) / 40})
         session = read_frame(frame, resample="previous", sample_time=step)
         assert session["p_r"].tolist() == frame["p_r"].tolist()
+
+
+@pytest.mark.parametrize("resampled", ["", RESAMPLED.format("previous", 0.1)])
+def test_a_part_too_short_to_be_resampled_is_counted_as_too_short(tmp_path, resampled):
+    """It made the whole log unreadable; without resampling it is a session."""
+    t = np.r_[np.arange(20) / 10, 5.0, 5.05, 9 + np.arange(20) / 10, 20.0]
+    pd.DataFrame({"t": t, "a": 0.5}).to_csv(tmp_path / "run.csv", index=False)
+    text = f'[files]\npattern = "run.csv"\n{resampled}[splitting]\ngap = 1.0\n{PLAIN}'
+    sessions = read_sessions(tmp_path, table_recipe(text))
+    assert [len(session) for session in sessions] == ([20, 20] if resampled else [20, 2, 20])
+    note = f"{2 if resampled else 1} too short"
+    assert sessions[0].metadata.more["split"].endswith(note)

@@ -22,7 +22,7 @@ from trustlab.sessions.recipe import (
     looked_up,
     plain_key,
 )
-from trustlab.sessions.resampling import RawLog, Stream, require_common_times, resample
+from trustlab.sessions.resampling import RawLog, Stream, require_common_times, resample, rounding
 from trustlab.sessions.session import (
     ROW,
     Metadata,
@@ -233,7 +233,7 @@ def _check_times(table: Table, bad: pd.Series, example: str) -> None:
 # --- parts of a log -----------------------------------------------------------------------------
 
 
-def parts_of(log: RawLog, recipe: Recipe) -> list[RawLog]:
+def parts_of(log: RawLog, recipe: Recipe, resampling: Resampling | None) -> list[RawLog]:
     """Return the parts of a log that make a session each: all of it, or what the recipe splits."""
     time, gap = recipe.time, recipe.gap
     streams = log.streams
@@ -250,11 +250,17 @@ def parts_of(log: RawLog, recipe: Recipe) -> list[RawLog]:
         parts = [part for each in parts for part in _between_gaps(each, gap)]
     if not reasons:
         return [replace(log, streams=streams)]
-    # One sample has no sample time; of several topics each needs one to be resampled.
-    least = 2 if len(streams) == 1 else 1
-    whole = [part for part in parts if min(len(stream.frame) for stream in part) >= least]
+    sample_time = resampling.sample_time if resampling else 0.0
+    least = sample_time - rounding(log, sample_time)
+    # Each topic needs a sample, and one of them two: one sample alone has no sample time.
+    whole = [
+        part
+        for part in parts
+        if all(stream.t.size for stream in part) and max(np.ptp(each.t) for each in part) > least
+    ]
     if not whole:
-        raise SessionError(f"split {' and '.join(reasons)}, no part has two samples")
+        fault = "no part has two samples, a sample time apart"
+        raise SessionError(f"split {' and '.join(reasons)}, {fault}")
     words = f"of {len(whole)}, split {' and '.join(reasons)}; {len(parts) - len(whole)} too short"
     return [
         replace(

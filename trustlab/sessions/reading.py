@@ -443,7 +443,7 @@ class Reader:
         """Return the sessions that a log makes."""
         values = derived_values(recipe, values)
         selection = self.columns or list(recipe.columns)
-        parts = parts_of(log, recipe)
+        parts = parts_of(log, recipe, self.resampling)
         sessions = [session_of(part, recipe, values, selection, self.resampling) for part in parts]
         for session in sessions:
             for doubt in doubts(session, log.notes, recipe.time):

@@ -68,6 +68,12 @@ def require_common_times(log: RawLog) -> None:
             raise RecipeError(f"{fault}; name how to bring them together: {how}")
 
 
+def rounding(log: RawLog, sample_time: float) -> float:
+    """Return how far times may be off [s]: dates in seconds are rounded to 0.24 µs."""
+    latest = log.notes.get("start_time", 0.0) + max(stream.t[-1] for stream in log.streams)
+    return np.clip(2.0 * np.spacing(latest), 1e-6 * sample_time, 0.5 * sample_time)
+
+
 def resample(log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule]) -> pd.DataFrame:
     """Return the columns of a checked log on a uniform time axis; note how."""
     # Where every stream has samples: from the last first sample to the first last one. A stream
@@ -84,13 +90,8 @@ def resample(log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule
         fault = f"{early.topic!r} ends {start - stop:.6g} s before {late.topic!r} starts"
         hint = "set hold = true for a topic whose last message holds to the end"
         raise SessionError(f"topics do not overlap: {fault} ({hint})")
-    # A grid time that rounding put just before a sample belongs to that sample; dates in seconds
-    # are rounded to 0.24 µs.
-    slack = np.clip(
-        2.0 * np.spacing(log.notes.get("start_time", 0.0) + stop),
-        1e-6 * sample_time,
-        0.5 * sample_time,
-    )
+    # A grid time that rounding put just before a sample belongs to that sample.
+    slack = rounding(log, sample_time)
     grid = _time_grid(float(start), float(stop), sample_time, slack)
     columns = {
         name: _interpolate(stream, name, grid, slack, _method(name, method, rules.get(name)))
