@@ -241,3 +241,16 @@ def test_a_stray_message_on_each_topic_makes_no_part(tmp_path, resampled, stray)
     sessions = read_sessions(tmp_path, recipe)
     assert [len(session) for session in sessions] == [20, 20]
     assert sessions[0].metadata.more["split"].endswith("1 too short")
+
+
+@pytest.mark.parametrize(("late", "cut"), [(-2.0, None), (0.04, None), (2.0, True)])
+def test_means_that_began_before_the_other_topics_are_noted(tmp_path, late, cut):
+    """The fit took the first of them for one over a single sample."""
+    bag = Bag(tmp_path / "a.mcap")
+    for t in np.arange(100) / 10:
+        bag.add("/p", t, NUMBER, data=0.5)
+        bag.add("/e", t + late, NUMBER, data=0.5)
+    text = f"performance_window = 5\n{RESAMPLED}{ERROR}"
+    recipe = bag_recipe(text + 'p_r = { topic = "/p", field = "data" }\n')
+    session = read_session(bag.write(), recipe)
+    assert session.metadata.more.get("performance_cut") is cut

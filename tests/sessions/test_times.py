@@ -3,6 +3,7 @@ Times, blanks, gaps, jumps, resampling. Oracle: pandas, numpy.interp, and loops 
 """
 
 import re
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -372,3 +373,36 @@ def test_a_part_too_short_to_be_resampled_is_counted_as_too_short(tmp_path, resa
     assert [len(session) for session in sessions] == ([20, 20] if resampled else [20, 2, 20])
     note = f"{2 if resampled else 1} too short"
     assert sessions[0].metadata.more["split"].endswith(note)
+
+
+SPLIT = "[splitting]\ngap = 2\n"
+JUMPS = '[time]\nunit = "s"\njumps = "split"\n'
+
+
+@pytest.mark.parametrize(
+    ("t", "values", "text", "columns", "cut"),
+    [
+        ([0, 1, 2, 9, 10, 11], [0.5] * 6, SPLIT, "", [False, True]),
+        ([0, 1, 2, 0, 1, 2], [0.5] * 6, JUMPS, "", [False, True]),
+        ([0, 9, 10, 11], [0.5] * 4, SPLIT, "", [True]),
+        ([0, 1, 2, 3], [None, 0.5, 0.5, 0.5], "", ', blank = "hold"', [True]),
+        ([0, 1, 2, 3], [0.5, None, 0.5, 0.5], "", ', blank = "hold"', [False]),
+    ],
+)
+@pytest.mark.parametrize(
+    ("name", "window"), [("p_r", 100), ("p_h", 100), ("p_r", None), ("robot_x", 100)]
+)
+def test_means_that_began_before_the_session_are_noted(
+    tmp_path, t, values, text, columns, cut, name, window
+):
+    """They were fitted as if the averaging began with the session."""
+    pd.DataFrame({"t": t, "a": values}).to_csv(tmp_path / "run.csv", index=False)
+    unit = ', unit = "m"' if name == "robot_x" else ""
+    recipe = table_recipe(
+        f'[files]\npattern = "run.csv"\n{text}'
+        f'[columns]\n{name} = {{ column = "a"{columns}{unit} }}\n'
+    )
+    sessions = read_sessions(tmp_path, replace(recipe, performance_window=window))
+    noted = [each.metadata.more.get("performance_cut") for each in sessions]
+    averaged = window and name != "robot_x"
+    assert noted == [True if each and averaged else None for each in cut]

@@ -77,6 +77,7 @@ def stream_of(
         t, place = t[order], lambda row: table.place(order[row])
         values = {name: column[order] for name, column in values.items()}
         table.notes[f"sorted {topic}".strip()] = f"{late} samples stood after a later one"
+    begin = t[0]
     # A blank is filled from neighbours in its own session: not from across a jump of time or a gap.
     steps = np.diff(t)
     back = (steps < 0.0) & bool(time.jumps)
@@ -109,7 +110,7 @@ def stream_of(
         column = rule.convert(values[rule.name])
         values[rule.name] = check_column(rule.name, column, t, place)
     frame = pd.DataFrame(values, index=pd.Index(t, copy=False), copy=False)
-    return Stream(frame, place, topic, any(rule.hold for rule in rules))
+    return Stream(frame, place, topic, any(rule.hold for rule in rules), begin)
 
 
 def _filled(t: np.ndarray, values: np.ndarray, way: str) -> np.ndarray:
@@ -336,7 +337,16 @@ def session_of(
             frame[name] = _computed(rule, frame)
     entries = {name: values[name] for name in recipe.metadata}
     metadata = log.metadata.changed(**log.notes | entries, source=log.source)
-    return keep_table(frame[list(selection)].rename_axis(index="t"), metadata, place)
+    session = keep_table(frame[list(selection)].rename_axis(index="t"), metadata, place)
+    # As in `Session.between`: fits must know of means that began before; half a sample is too little
+    # to matter.
+    if "performance_window" in metadata.more and any(
+        log.notes.get("part") or stream.begin < session.t[0] - session.sample_time / 2
+        for stream in log.streams
+        if {"p_r", "p_h"} & {*stream.frame}
+    ):
+        return session.with_metadata(performance_cut=True)
+    return session
 
 
 def _computed(rule: ColumnRule, frame: pd.DataFrame) -> np.ndarray:

@@ -21,13 +21,15 @@ class Stream:
     Samples that share their times: the columns of a table, or what is read from one topic of a bag.
 
     `frame` has them in SI units, indexed by time [s]; `place(k)` says where sample k stands in the
-    file. `holds` is True where the last sample lasts until the log ends.
+    file. `holds` is True where the last sample lasts until the log ends; `begin` is the time of the
+    first sample in the file [s], whatever was cut since.
     """
 
     frame: pd.DataFrame
     place: Place = ROW
     topic: str = ""
     holds: bool = False
+    begin: float = 0.0
 
     @property
     def t(self) -> np.ndarray:
