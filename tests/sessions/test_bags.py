@@ -254,3 +254,31 @@ def test_means_that_began_before_the_other_topics_are_noted(tmp_path, late, cut)
     recipe = bag_recipe(text + 'p_r = { topic = "/p", field = "data" }\n')
     session = read_session(bag.write(), recipe)
     assert session.metadata.more.get("performance_cut") is cut
+
+
+@pytest.mark.parametrize("other", ["", ", hold = true"])
+def test_a_column_holds_its_last_value_only_where_its_own_rule_says(tmp_path, other):
+    """The speed of a topic went on where the mode of the same topic was held."""
+    bag = Bag(tmp_path / "a.mcap")
+    for t in np.arange(31) / 10:
+        bag.add("/p", t, NUMBER, data=0.5)
+        if t < 1.05:
+            bag.add("/base", t, "geometry_msgs/msg/Twist", linear={"x": t}, angular={"z": 1.0})
+    columns = f"""robot_x = {{ topic = "/base", field = "linear.x", unit = "m"{other} }}
+mode = {{ topic = "/base", field = "angular.z", hold = true }}
+p_r = {{ topic = "/p", field = "data" }}
+"""
+    session = read_session(bag.write(), bag_recipe(RESAMPLED + "[columns]\n" + columns))
+    assert session.t[-1] == pytest.approx(3.0 if other else 1.0)
+
+
+@pytest.mark.parametrize("norm", [0.991, 1.0, 1.009])
+def test_a_heading_is_that_of_the_quaternion_whatever_its_norm(tmp_path, norm):
+    """Oracle: the quaternion of a turn; it was wrong by up to a degree."""
+    angles = np.linspace(-3.1, 3.1, 20)
+    bag = Bag(tmp_path / "a.mcap")
+    for k, angle in enumerate(angles):
+        quaternion = {name: norm * value for name, value in turn(angle).items()}
+        bag.add("/q", k / 10, "geometry_msgs/msg/Pose", orientation=quaternion)
+    text = '[columns]\nyaw = { topic = "/q", field = "yaw(orientation)" }\n'
+    np.testing.assert_allclose(read_session(bag.write(), bag_recipe(text))["yaw"], angles)

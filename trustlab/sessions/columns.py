@@ -110,7 +110,7 @@ def stream_of(
         column = rule.convert(values[rule.name])
         values[rule.name] = check_column(rule.name, column, t, place)
     frame = pd.DataFrame(values, index=pd.Index(t, copy=False), copy=False)
-    return Stream(frame, place, topic, any(rule.hold for rule in rules), begin)
+    return Stream(frame, place, topic, all(rule.hold for rule in rules), begin)
 
 
 def _filled(t: np.ndarray, values: np.ndarray, way: str) -> np.ndarray:
@@ -338,8 +338,7 @@ def session_of(
     entries = {name: values[name] for name in recipe.metadata}
     metadata = log.metadata.changed(**log.notes | entries, source=log.source)
     session = keep_table(frame[list(selection)].rename_axis(index="t"), metadata, place)
-    # As in `Session.between`: fits must know of means that began before; half a sample is too little
-    # to matter.
+    # As in `Session.between`: fits must know of means that began before (by half a sample or more).
     if "performance_window" in metadata.more and any(
         log.notes.get("part") or stream.begin < session.t[0] - session.sample_time / 2
         for stream in log.streams
