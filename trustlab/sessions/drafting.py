@@ -114,7 +114,7 @@ def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
         encoding, text = "utf-8", head.decode("utf-8-sig")
     except UnicodeDecodeError:  # the text of Windows has a letter for almost every byte
         encoding, text = "cp1252", head.decode("cp1252", "ignore")
-    lines = text.splitlines()
+    lines = re.split("\r\n?|\n", text)
     skipped = next((k for k, line in enumerate(lines) if not line.startswith(COMMENTS)), 0)
     sample = [line.strip(" ") for line in lines[skipped : skipped + 50]]
     if not any(sample):
