@@ -329,12 +329,11 @@ def session_of(
         frame = pd.concat([stream.frame for stream in log.streams], axis=1)
     else:
         frame = first.frame.copy(deep=False)
-    for name, rule in recipe.columns.items():
-        if rule.kind in ("value", "from"):
-            frame[name] = _constant(rule, values)
-    for name, rule in recipe.columns.items():
-        if rule.needs and name in selection:
-            frame[name] = _computed(rule, frame)
+    for rule in rules_of(recipe, selection):
+        if rule.needs:
+            frame[rule.name] = _computed(rule, frame)
+        elif rule.kind in ("value", "from"):
+            frame[rule.name] = _constant(rule, values)
     entries = {name: values[name] for name in recipe.metadata}
     metadata = log.metadata.changed(**log.notes | entries, source=log.source)
     session = keep_table(frame[list(selection)].rename_axis(index="t"), metadata, place)
@@ -346,6 +345,12 @@ def session_of(
     ):
         return session.with_metadata(performance_cut=True)
     return session
+
+
+def rules_of(recipe: Recipe, names: Sequence[str]) -> list[ColumnRule]:
+    """Return the rules of columns, after those of the columns that these need."""
+    needs = [need for name in names for need in recipe.columns[name].needs]
+    return [recipe.columns[name] for name in dict.fromkeys([*needs, *names])]
 
 
 def _computed(rule: ColumnRule, frame: pd.DataFrame) -> np.ndarray:

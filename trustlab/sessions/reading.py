@@ -17,6 +17,7 @@ from trustlab.sessions.columns import (
     Table,
     derived_values,
     parts_of,
+    rules_of,
     session_of,
     stream_of,
     times_of,
@@ -409,9 +410,7 @@ class Reader:
 
     def _measured(self, recipe: Recipe) -> list[ColumnRule]:
         """Return the rules of the columns that come from the log, and of those these need."""
-        names = self.columns or list(recipe.columns)
-        names = [*names, *(need for name in names for need in recipe.columns[name].needs)]
-        rules = [recipe.columns[name] for name in dict.fromkeys(names)]
+        rules = rules_of(recipe, self.columns or list(recipe.columns))
         return [rule for rule in rules if rule.kind in ("column", "topic")]
 
     def _chosen(self) -> Chosen:
