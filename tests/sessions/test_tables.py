@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, example, given, strategies as st
 
 from tests.sessions.logs import START, bag_of_numbers, bag_recipe, table_recipe, write_table
-from trustlab.sessions import SessionError, draft_recipe, read_frame, read_session
+from trustlab.sessions import RecipeError, SessionError, draft_recipe, read_frame, read_session
 
 TABLE = pd.DataFrame(
     {"t": np.arange(30) * 0.1, "p_r": np.sin(np.arange(30.0)) ** 2, "mode": np.arange(30) % 2}
@@ -217,3 +217,17 @@ def test_a_quotation_mark_that_does_not_close_above_the_data(read):
     """In a long file this was an UnboundLocalError."""
     with pytest.raises(SessionError, match=r"run\.csv: line 1: a quotation mark that opens here"):
         read('"t,mode\n' + "0,1\n" * 40_000)
+
+
+def test_quoted_decimal_commas_between_commas_are_read_by_pandas(read, tmp_path):
+    """The remedy led to a refusal that had none, and a draft was a recipe that is refused."""
+    text = 't,p_r\n0,"0,5"\n1,"0,25"\n'
+    with pytest.raises(SessionError, match='decimal=","'):
+        read(text)
+    words = r"must differ, both are ','; .*read_frame\(pandas\.read_csv\(path, decimal=\",\"\)\)"
+    with pytest.raises(RecipeError, match=words):
+        read(text, decimal=",")
+    with pytest.raises(RecipeError, match=words):
+        draft_recipe(tmp_path / "run.csv", tmp_path / "lab.toml")
+    session = read_frame(pd.read_csv(tmp_path / "run.csv", decimal=","))
+    assert session["p_r"].tolist() == [0.5, 0.25]
