@@ -282,3 +282,23 @@ def test_a_heading_is_that_of_the_quaternion_whatever_its_norm(tmp_path, norm):
         bag.add("/q", k / 10, "geometry_msgs/msg/Pose", orientation=quaternion)
     text = '[columns]\nyaw = { topic = "/q", field = "yaw(orientation)" }\n'
     np.testing.assert_allclose(read_session(bag.write(), bag_recipe(text))["yaw"], angles)
+
+
+@pytest.mark.parametrize(
+    ("pausing", "told"), [("ep", ["'/e'", "'/p'"]), ("p", ["'/p'"]), ("m", []), ("", [])]
+)
+def test_a_gap_that_resampling_bridges_in_a_topic_is_told(tmp_path, recwarn, pausing, told):
+    """Only that of a table or of a single topic was."""
+    bag = Bag(tmp_path / "a.mcap")
+    for t in np.arange(100) / 10:
+        for topic in "epm":
+            if not (topic in pausing and 3.0 < t < 6.0):
+                bag.add(f"/{topic}", t, NUMBER, data=0.5)
+    text = """p_r = { topic = "/p", field = "data" }
+mode = { topic = "/m", field = "data", above = 0.1, hold = true }
+"""
+    read_session(bag.write(), bag_recipe(RESAMPLED + ERROR + text))
+    assert len(recwarn) == len(told)
+    for each, topic in zip(recwarn, told, strict=True):
+        words = f"a.mcap: resampling bridges a gap of 3 s at t = 3 s of topic {topic}; if the log"
+        assert words in str(each.message)

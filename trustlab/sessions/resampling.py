@@ -104,8 +104,8 @@ def resample(log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule
     log.notes["resampled"] = (
         f"{method} at {sample_time:g} s; longest gap in the log {max(gaps):.6g} s"
     )
-    if len(log.streams) == 1:
-        _warn_of_gap(log.streams[0].t, sample_time, log.source)
+    for stream in bounding:
+        _warn_of_gap(stream, sample_time, log.source)
     return pd.DataFrame(columns, index=grid)
 
 
@@ -152,11 +152,12 @@ def _interpolate(
     return values[np.where(grid - times[left] <= times[right] - grid, left, right)]
 
 
-def _warn_of_gap(t: np.ndarray, sample_time: float, source: str) -> None:
+def _warn_of_gap(stream: Stream, sample_time: float, source: str) -> None:
     """Warn where resampling bridges a gap much longer than the log's own steps and the new ones."""
-    steps = np.diff(t)
+    t, steps = stream.t, np.diff(stream.t)
     k = int(np.argmax(steps))
     if steps[k] > 10.0 * max(float(np.median(steps)), sample_time):
         fault = f"{source}: resampling bridges a gap of {steps[k]:.6g} s at t = {t[k]:.6g} s"
+        fault += f" of topic {stream.topic!r}" if stream.topic else ""
         remedy = "if the log was interrupted, cut the session there (session.between)"
         warn(f"{fault}; {remedy}")
