@@ -225,3 +225,80 @@ def test_missing_pages_of_a_database_would_read_as_zeros(tmp_path, monkeypatch):
     # Negative control: without the check of its size, a number is another one.
     monkeypatch.setattr("trustlab.sessions.bags._check_database", lambda file: None)
     assert (read_session(path, bag_recipe(ERROR))["path_error"] != values).sum() == 1
+
+
+@pytest.mark.parametrize("resampled", [True, False])
+@pytest.mark.parametrize("stray", [5.0, 5.04])
+def test_a_stray_message_on_each_topic_makes_no_part(tmp_path, resampled, stray):
+    """It made the whole log unreadable."""
+    bag = Bag(tmp_path / "a.mcap")
+    for topic, between in (("/e", 5.0), ("/p", stray if resampled else 5.0)):
+        for t in [*np.arange(20) / 10, between, *(9 + np.arange(20) / 10)]:
+            bag.add(topic, t, NUMBER, data=0.5)
+    bag.write()
+    text = f'[files]\npattern = "a.mcap"\n{RESAMPLED if resampled else ""}[splitting]\ngap = 1.0\n'
+    recipe = bag_recipe(text + ERROR + 'p_r = { topic = "/p", field = "data" }\n')
+    sessions = read_sessions(tmp_path, recipe)
+    assert [len(session) for session in sessions] == [20, 20]
+    assert sessions[0].metadata.more["split"].endswith("1 too short")
+
+
+@pytest.mark.parametrize(("late", "cut"), [(-2.0, None), (0.04, None), (2.0, True)])
+def test_means_that_began_before_the_other_topics_are_noted(tmp_path, late, cut):
+    """The fit took the first of them for one over a single sample."""
+    bag = Bag(tmp_path / "a.mcap")
+    for t in np.arange(100) / 10:
+        bag.add("/p", t, NUMBER, data=0.5)
+        bag.add("/e", t + late, NUMBER, data=0.5)
+    text = f"performance_window = 5\n{RESAMPLED}{ERROR}"
+    recipe = bag_recipe(text + 'p_r = { topic = "/p", field = "data" }\n')
+    session = read_session(bag.write(), recipe)
+    assert session.metadata.more.get("performance_cut") is cut
+
+
+@pytest.mark.parametrize("other", ["", ", hold = true"])
+def test_a_column_holds_its_last_value_only_where_its_own_rule_says(tmp_path, other):
+    """The speed of a topic went on where the mode of the same topic was held."""
+    bag = Bag(tmp_path / "a.mcap")
+    for t in np.arange(31) / 10:
+        bag.add("/p", t, NUMBER, data=0.5)
+        if t < 1.05:
+            bag.add("/base", t, "geometry_msgs/msg/Twist", linear={"x": t}, angular={"z": 1.0})
+    columns = f"""robot_x = {{ topic = "/base", field = "linear.x", unit = "m"{other} }}
+mode = {{ topic = "/base", field = "angular.z", hold = true }}
+p_r = {{ topic = "/p", field = "data" }}
+"""
+    session = read_session(bag.write(), bag_recipe(RESAMPLED + "[columns]\n" + columns))
+    assert session.t[-1] == pytest.approx(3.0 if other else 1.0)
+
+
+@pytest.mark.parametrize("norm", [0.991, 1.0, 1.009])
+def test_a_heading_is_that_of_the_quaternion_whatever_its_norm(tmp_path, norm):
+    """Oracle: the quaternion of a turn; it was wrong by up to a degree."""
+    angles = np.linspace(-3.1, 3.1, 20)
+    bag = Bag(tmp_path / "a.mcap")
+    for k, angle in enumerate(angles):
+        quaternion = {name: norm * value for name, value in turn(angle).items()}
+        bag.add("/q", k / 10, "geometry_msgs/msg/Pose", orientation=quaternion)
+    text = '[columns]\nyaw = { topic = "/q", field = "yaw(orientation)" }\n'
+    np.testing.assert_allclose(read_session(bag.write(), bag_recipe(text))["yaw"], angles)
+
+
+@pytest.mark.parametrize(
+    ("pausing", "told"), [("ep", ["'/e'", "'/p'"]), ("p", ["'/p'"]), ("m", []), ("", [])]
+)
+def test_a_gap_that_resampling_bridges_in_a_topic_is_told(tmp_path, recwarn, pausing, told):
+    """Only that of a table or of a single topic was."""
+    bag = Bag(tmp_path / "a.mcap")
+    for t in np.arange(100) / 10:
+        for topic in "epm":
+            if not (topic in pausing and 3.0 < t < 6.0):
+                bag.add(f"/{topic}", t, NUMBER, data=0.5)
+    text = """p_r = { topic = "/p", field = "data" }
+mode = { topic = "/m", field = "data", above = 0.1, hold = true }
+"""
+    read_session(bag.write(), bag_recipe(RESAMPLED + ERROR + text))
+    assert len(recwarn) == len(told)
+    for each, topic in zip(recwarn, told, strict=True):
+        words = f"a.mcap: resampling bridges a gap of 3 s at t = 3 s of topic {topic}; if the log"
+        assert words in str(each.message)

@@ -127,3 +127,19 @@ def test_files_being_written_and_loops_are_no_sessions(tmp_path):
     (tmp_path / "run4.csv").symlink_to(tmp_path / "run4.csv")
     with pytest.raises(SessionError, match=r"run4\.csv: there is no file at this path"):
         read_sessions(tmp_path, recipe)
+
+
+@pytest.mark.parametrize("name", ["p9", "p11"])
+def test_folders_that_are_links_are_read_and_no_folder_twice(tmp_path, name):
+    """They were left out without a word."""
+    (tmp_path / "study").mkdir()
+    lay(tmp_path / "disk", people=(name[1:],), runs=(1, 2, 10))
+    lay(tmp_path / "study", people=(10,), runs=(1, 2, 10))
+    (tmp_path / "study" / name).symlink_to(tmp_path / "disk" / name)
+    links = {"loop": tmp_path, "a latest": tmp_path / "study" / "p10", "up/loop": tmp_path / "disk"}
+    (tmp_path / "study" / "up").mkdir()
+    for link, target in links.items():
+        (tmp_path / "study" / link).symlink_to(target)
+    (tmp_path / "disk" / name / "loop").symlink_to(tmp_path / "disk")
+    sessions = read_sessions(tmp_path / "study", table_recipe(INDEXED))
+    assert runs(sessions) == [(who, k) for who in sorted([10, int(name[1:])]) for k in (1, 2, 10)]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, example, given, strategies as st
 
 from tests.sessions.logs import START, bag_of_numbers, bag_recipe, table_recipe, write_table
-from trustlab.sessions import SessionError, read_frame, read_session
+from trustlab.sessions import RecipeError, SessionError, draft_recipe, read_frame, read_session
 
 TABLE = pd.DataFrame(
     {"t": np.arange(30) * 0.1, "p_r": np.sin(np.arange(30.0)) ** 2, "mode": np.arange(30) % 2}
@@ -199,3 +199,35 @@ robot_x = { column = "x", unit = "cm" }""")
     frame.loc[1, "who"] = "RR"
     with pytest.raises(SessionError, match=r"row 1 \(from 0\), column 'who' \(mode\): 'RR' is not"):
         read_frame(frame, recipe)
+
+
+@pytest.mark.parametrize("mark", ["\x0b", "\x0c", "\x1c", "\x85", "\u2028"])
+def test_only_line_ends_end_a_line_above_the_names(read, tmp_path, mark):
+    """The names were looked for two lines too high."""
+    text = f"made by{mark}our logger\nt,mode\n0,1\n1,0\n"
+    session = read(text, '[table]\nskip_lines = 1\n[columns]\nmode = { column = "mode" }')
+    assert session["mode"].tolist() == [1, 0]
+    log = tmp_path / "draft.csv"
+    log.write_text(f"# {text}")
+    draft = draft_recipe(log, tmp_path / "lab.toml")
+    assert read_session(log, draft)["mode"].tolist() == [1, 0]
+
+
+def test_a_quotation_mark_that_does_not_close_above_the_data(read):
+    """In a long file this was an UnboundLocalError."""
+    with pytest.raises(SessionError, match=r"run\.csv: line 1: a quotation mark that opens here"):
+        read('"t,mode\n' + "0,1\n" * 40_000)
+
+
+def test_quoted_decimal_commas_between_commas_are_read_by_pandas(read, tmp_path):
+    """The remedy led to a refusal that had none, and a draft was a recipe that is refused."""
+    text = 't,p_r\n0,"0,5"\n1,"0,25"\n'
+    with pytest.raises(SessionError, match='decimal=","'):
+        read(text)
+    words = r"must differ, both are ','; .*read_frame\(pandas\.read_csv\(path, decimal=\",\"\)\)"
+    with pytest.raises(RecipeError, match=words):
+        read(text, decimal=",")
+    with pytest.raises(RecipeError, match=words):
+        draft_recipe(tmp_path / "run.csv", tmp_path / "lab.toml")
+    session = read_frame(pd.read_csv(tmp_path / "run.csv", decimal=","))
+    assert session["p_r"].tolist() == [0.5, 0.25]

@@ -3,6 +3,7 @@ Times, blanks, gaps, jumps, resampling. Oracle: pandas, numpy.interp, and loops 
 """
 
 import re
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -325,3 +326,67 @@ def test_stamps_since_1970_tell_their_unit(read, recwarn, tmp_path, unit, size, 
     if unit == "ns":  # a thousand times too long by such a recipe
         read("t,p_r\n" + rows, '[time]\nunit = "us"\nfrom_zero = true\n' + RULE)
         assert '[time] unit = "ns"' in str(recwarn.list[0].message)
+
+
+@pytest.mark.parametrize("word", ["none", "-", "NA", "null"])
+def test_an_entry_of_a_map_is_no_blank(word):
+    """The cell before was held over it."""
+    frame = pd.DataFrame({"t": range(5), "s": ["manual", word, "auto", word, ""]})
+    entries = f'{{ "{word}" = -1, manual = 1, auto = 0 }}'
+    text = f'[columns]\nsuggested_mode = {{ column = "s", map = {entries}, blank = "hold" }}'
+    assert read_frame(frame, table_recipe(text))["suggested_mode"].tolist() == [1, -1, 0, -1, -1]
+
+
+@pytest.mark.parametrize("start", [1.7e9, 1396293889.454])
+@pytest.mark.parametrize("step", [0.1, 0.02, 0.001])
+def test_the_last_sample_of_dates_in_seconds_is_not_lost(start, step):
+    """Rounding of 0.24 µs cost it."""
+    for count in range(2, 40):
+        frame = pd.DataFrame({"t": start + step * np.arange(count), "p_r": np.arange(count) / 40})
+        session = read_frame(frame, resample="previous", sample_time=step)
+        assert session["p_r"].tolist() == frame["p_r"].tolist()
+
+
+@pytest.mark.parametrize("resampled", ["", RESAMPLED.format("previous", 0.1)])
+def test_a_part_too_short_to_be_resampled_is_counted_as_too_short(tmp_path, resampled):
+    """It made the whole log unreadable; without resampling it is a session."""
+    t = np.r_[np.arange(20) / 10, 5.0, 5.05, 9 + np.arange(20) / 10, 20.0]
+    pd.DataFrame({"t": t, "a": 0.5}).to_csv(tmp_path / "run.csv", index=False)
+    text = f'[files]\npattern = "run.csv"\n{resampled}[splitting]\ngap = 1.0\n{PLAIN}'
+    sessions = read_sessions(tmp_path, table_recipe(text))
+    assert [len(session) for session in sessions] == ([20, 20] if resampled else [20, 2, 20])
+    note = f"{2 if resampled else 1} too short"
+    assert sessions[0].metadata.more["split"].endswith(note)
+
+
+SPLIT = "[splitting]\ngap = 2\n"
+JUMPS = '[time]\nunit = "s"\njumps = "split"\n'
+
+
+@pytest.mark.parametrize(
+    ("t", "values", "text", "columns", "cut"),
+    [
+        ([0, 1, 2, 9, 10, 11], [0.5] * 6, SPLIT, "", [False, True]),
+        ([0, 1, 2, 0, 1, 2], [0.5] * 6, JUMPS, "", [False, True]),
+        ([0, 9, 10, 11], [0.5] * 4, SPLIT, "", [True]),
+        ([0, 1, 2, 3], [None, 0.5, 0.5, 0.5], "", ', blank = "hold"', [True]),
+        ([0, 1, 2, 3], [0.5, None, 0.5, 0.5], "", ', blank = "hold"', [False]),
+    ],
+)
+@pytest.mark.parametrize(
+    ("name", "window"), [("p_r", 100), ("p_h", 100), ("p_r", None), ("robot_x", 100)]
+)
+def test_means_that_began_before_the_session_are_noted(
+    tmp_path, t, values, text, columns, cut, name, window
+):
+    """They were fitted as if the averaging began with the session."""
+    pd.DataFrame({"t": t, "a": values}).to_csv(tmp_path / "run.csv", index=False)
+    unit = ', unit = "m"' if name == "robot_x" else ""
+    recipe = table_recipe(
+        f'[files]\npattern = "run.csv"\n{text}'
+        f'[columns]\n{name} = {{ column = "a"{columns}{unit} }}\n'
+    )
+    sessions = read_sessions(tmp_path, replace(recipe, performance_window=window))
+    noted = [each.metadata.more.get("performance_cut") for each in sessions]
+    averaged = window and name != "robot_x"
+    assert noted == [True if each and averaged else None for each in cut]

@@ -276,4 +276,4 @@ def _yaw(value) -> float:
     norm = math.hypot(x, y, z, w)
     if not abs(norm - 1.0) <= 0.01:
         raise SessionError(f"the quaternion has norm {norm:.6g}, but a rotation has norm 1")
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)

@@ -20,8 +20,9 @@ from trustlab.sessions.recipe import (
     Resampling,
     TableTime,
     looked_up,
+    plain_key,
 )
-from trustlab.sessions.resampling import RawLog, Stream, require_common_times, resample
+from trustlab.sessions.resampling import RawLog, Stream, require_common_times, resample, rounding
 from trustlab.sessions.session import (
     ROW,
     Metadata,
@@ -76,6 +77,7 @@ def stream_of(
         t, place = t[order], lambda row: table.place(order[row])
         values = {name: column[order] for name, column in values.items()}
         table.notes[f"sorted {topic}".strip()] = f"{late} samples stood after a later one"
+    begin = t[0]
     # A blank is filled from neighbours in its own session: not from across a jump of time or a gap.
     steps = np.diff(t)
     back = (steps < 0.0) & bool(time.jumps)
@@ -108,7 +110,7 @@ def stream_of(
         column = rule.convert(values[rule.name])
         values[rule.name] = check_column(rule.name, column, t, place)
     frame = pd.DataFrame(values, index=pd.Index(t, copy=False), copy=False)
-    return Stream(frame, place, topic, any(rule.hold for rule in rules))
+    return Stream(frame, place, topic, all(rule.hold for rule in rules), begin)
 
 
 def _filled(t: np.ndarray, values: np.ndarray, way: str) -> np.ndarray:
@@ -155,10 +157,11 @@ def numbers(table: Table, rule: ColumnRule | None = None) -> np.ndarray:
 def _number(cell: object, mapped: ColumnRule | None, decimal: str) -> float:
     """Return the number of a cell as it is written, or by the map of a rule."""
     written = str(cell).strip()
-    if written in BLANKS and (mapped is None or mapped.blank):
-        return math.nan
-    if mapped and mapped.map:
+    blank = written in BLANKS
+    if mapped and (plain_key(written) in mapped.map or not (blank and mapped.blank)):
         return looked_up(mapped.map, cell)
+    if blank:
+        return math.nan
     # With a decimal comma a point has no meaning: "!" makes such a number fail.
     text = written if decimal == "." else written.replace(".", "!").replace(",", ".")
     if NUMBER.fullmatch(text):
@@ -231,7 +234,7 @@ def _check_times(table: Table, bad: pd.Series, example: str) -> None:
 # --- parts of a log -----------------------------------------------------------------------------
 
 
-def parts_of(log: RawLog, recipe: Recipe) -> list[RawLog]:
+def parts_of(log: RawLog, recipe: Recipe, resampling: Resampling | None) -> list[RawLog]:
     """Return the parts of a log that make a session each: all of it, or what the recipe splits."""
     time, gap = recipe.time, recipe.gap
     streams = log.streams
@@ -248,11 +251,17 @@ def parts_of(log: RawLog, recipe: Recipe) -> list[RawLog]:
         parts = [part for each in parts for part in _between_gaps(each, gap)]
     if not reasons:
         return [replace(log, streams=streams)]
-    # One sample has no sample time; of several topics each needs one to be resampled.
-    least = 2 if len(streams) == 1 else 1
-    whole = [part for part in parts if min(len(stream.frame) for stream in part) >= least]
+    sample_time = resampling.sample_time if resampling else 0.0
+    least = sample_time - rounding(log, sample_time)
+    # Each topic needs a sample, and one of them two: one sample alone has no sample time.
+    whole = [
+        part
+        for part in parts
+        if all(stream.t.size for stream in part) and max(np.ptp(each.t) for each in part) > least
+    ]
     if not whole:
-        raise SessionError(f"split {' and '.join(reasons)}, no part has two samples")
+        fault = "no part has two samples, a sample time apart"
+        raise SessionError(f"split {' and '.join(reasons)}, {fault}")
     words = f"of {len(whole)}, split {' and '.join(reasons)}; {len(parts) - len(whole)} too short"
     return [
         replace(
@@ -320,15 +329,28 @@ def session_of(
         frame = pd.concat([stream.frame for stream in log.streams], axis=1)
     else:
         frame = first.frame.copy(deep=False)
-    for name, rule in recipe.columns.items():
-        if rule.kind in ("value", "from"):
-            frame[name] = _constant(rule, values)
-    for name, rule in recipe.columns.items():
-        if rule.needs and name in selection:
-            frame[name] = _computed(rule, frame)
+    for rule in rules_of(recipe, selection):
+        if rule.needs:
+            frame[rule.name] = _computed(rule, frame)
+        elif rule.kind in ("value", "from"):
+            frame[rule.name] = _constant(rule, values)
     entries = {name: values[name] for name in recipe.metadata}
     metadata = log.metadata.changed(**log.notes | entries, source=log.source)
-    return keep_table(frame[list(selection)].rename_axis(index="t"), metadata, place)
+    session = keep_table(frame[list(selection)].rename_axis(index="t"), metadata, place)
+    # As in `Session.between`: fits must know of means that began before (by half a sample or more).
+    if "performance_window" in metadata.more and any(
+        log.notes.get("part") or stream.begin < session.t[0] - session.sample_time / 2
+        for stream in log.streams
+        if {"p_r", "p_h"} & {*stream.frame}
+    ):
+        return session.with_metadata(performance_cut=True)
+    return session
+
+
+def rules_of(recipe: Recipe, names: Sequence[str]) -> list[ColumnRule]:
+    """Return the rules of columns, after those of the columns that these need."""
+    needs = [need for name in names for need in recipe.columns[name].needs]
+    return [recipe.columns[name] for name in dict.fromkeys([*needs, *names])]
 
 
 def _computed(rule: ColumnRule, frame: pd.DataFrame) -> np.ndarray:

@@ -17,7 +17,7 @@ from trustlab.models.files import path_of, writing
 from trustlab.sessions.columns import BLANKS
 from trustlab.sessions.errors import SessionError, damage_named, source_named
 from trustlab.sessions.reading import existing, likely_unit
-from trustlab.sessions.recipe import NUMBER
+from trustlab.sessions.recipe import NUMBER, TableRule, parse
 from trustlab.sessions.tables import COMMENTS, HEAD, TEXTS, refuse_encoding, suffix_of
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY
 
@@ -114,7 +114,7 @@ def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
         encoding, text = "utf-8", head.decode("utf-8-sig")
     except UnicodeDecodeError:  # the text of Windows has a letter for almost every byte
         encoding, text = "cp1252", head.decode("cp1252", "ignore")
-    lines = text.splitlines()
+    lines = re.split("\r\n?|\n", text)
     skipped = next((k for k, line in enumerate(lines) if not line.startswith(COMMENTS)), 0)
     sample = [line.strip(" ") for line in lines[skipped : skipped + 50]]
     if not any(sample):
@@ -129,6 +129,8 @@ def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
     comma = any(re.fullmatch(r"[+-]?\d+,\d+", cell) for row in rows[1:] for cell in row)
     header = not all(NUMBER.fullmatch(cell.replace(",", ".")) for cell in rows[0])
     decimal = "," if comma else "."
+    # What no recipe can state is refused.
+    parse(TableRule, {"delimiter": delimiter, "decimal": decimal}, "[table]")
     frame = pd.read_csv(
         io.StringIO("\n".join(lines[skipped:])),
         sep=r"\s+" if delimiter == " " else delimiter,

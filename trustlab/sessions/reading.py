@@ -17,6 +17,7 @@ from trustlab.sessions.columns import (
     Table,
     derived_values,
     parts_of,
+    rules_of,
     session_of,
     stream_of,
     times_of,
@@ -413,9 +414,7 @@ class Reader:
 
     def _measured(self, recipe: Recipe) -> list[ColumnRule]:
         """Return the rules of the columns that come from the log, and of those these need."""
-        names = self.columns or list(recipe.columns)
-        names = [*names, *(need for name in names for need in recipe.columns[name].needs)]
-        rules = [recipe.columns[name] for name in dict.fromkeys(names)]
+        rules = rules_of(recipe, self.columns or list(recipe.columns))
         return [rule for rule in rules if rule.kind in ("column", "topic")]
 
     def _chosen(self) -> Chosen:
@@ -447,7 +446,7 @@ class Reader:
         """Return the sessions that a log makes."""
         values = derived_values(recipe, values)
         selection = self.columns or list(recipe.columns)
-        parts = parts_of(log, recipe)
+        parts = parts_of(log, recipe, self.resampling)
         sessions = [session_of(part, recipe, values, selection, self.resampling) for part in parts]
         for session in sessions:
             for doubt in doubts(session, log.notes, recipe.time):

@@ -374,7 +374,8 @@ class TableRule:
     def __post_init__(self):
         if self.decimal == self.delimiter:
             raise RecipeError(
-                f"decimal and delimiter of a table must differ, both are {self.decimal!r}"
+                f"decimal and delimiter of a table must differ, both are {self.decimal!r}; if "
+                'cells are quoted, trustlab.read_frame(pandas.read_csv(path, decimal=","))'
             )
 
 

@@ -21,13 +21,15 @@ class Stream:
     Samples that share their times: the columns of a table, or what is read from one topic of a bag.
 
     `frame` has them in SI units, indexed by time [s]; `place(k)` says where sample k stands in the
-    file. `holds` is True where the last sample lasts until the log ends.
+    file. `holds` is True where the last sample lasts until the log ends; `begin` is the time of the
+    first sample in the file [s], whatever was cut since.
     """
 
     frame: pd.DataFrame
     place: Place = ROW
     topic: str = ""
     holds: bool = False
+    begin: float = 0.0
 
     @property
     def t(self) -> np.ndarray:
@@ -68,6 +70,12 @@ def require_common_times(log: RawLog) -> None:
             raise RecipeError(f"{fault}; name how to bring them together: {how}")
 
 
+def rounding(log: RawLog, sample_time: float) -> float:
+    """Return how far times may be off [s]: dates in seconds are rounded to 0.24 µs."""
+    latest = log.notes.get("start_time", 0.0) + max(stream.t[-1] for stream in log.streams)
+    return np.clip(2.0 * np.spacing(latest), 1e-6 * sample_time, 0.5 * sample_time)
+
+
 def resample(log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule]) -> pd.DataFrame:
     """Return the columns of a checked log on a uniform time axis; note how."""
     # Where every stream has samples: from the last first sample to the first last one. A stream
@@ -84,14 +92,9 @@ def resample(log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule
         fault = f"{early.topic!r} ends {start - stop:.6g} s before {late.topic!r} starts"
         hint = "set hold = true for a topic whose last message holds to the end"
         raise SessionError(f"topics do not overlap: {fault} ({hint})")
-    grid = _time_grid(float(start), float(stop), sample_time)
-    # A grid time that rounding put just before a sample belongs to that sample; dates in seconds
-    # are rounded to 0.24 µs.
-    slack = np.clip(
-        2.0 * np.spacing(log.notes.get("start_time", 0.0) + stop),
-        1e-6 * sample_time,
-        0.5 * sample_time,
-    )
+    # A grid time that rounding put just before a sample belongs to that sample.
+    slack = rounding(log, sample_time)
+    grid = _time_grid(float(start), float(stop), sample_time, slack)
     columns = {
         name: _interpolate(stream, name, grid, slack, _method(name, method, rules.get(name)))
         for stream in log.streams
@@ -101,21 +104,20 @@ def resample(log: RawLog, resampling: Resampling, rules: Mapping[str, ColumnRule
     log.notes["resampled"] = (
         f"{method} at {sample_time:g} s; longest gap in the log {max(gaps):.6g} s"
     )
-    if len(log.streams) == 1:
-        _warn_of_gap(log.streams[0].t, sample_time, log.source)
+    for stream in bounding:
+        _warn_of_gap(stream, sample_time, log.source)
     return pd.DataFrame(columns, index=grid)
 
 
-def _time_grid(start: float, stop: float, sample_time: float) -> np.ndarray:
+def _time_grid(start: float, stop: float, sample_time: float, slack: float) -> np.ndarray:
     """Return start, start + sample_time … up to stop, which is not passed."""
-    steps = (stop - start) / sample_time
-    if not 1.0 <= steps + 1e-9 < MAX_SAMPLES:
+    steps = (stop - start + slack) / sample_time  # rounding must not cost the last sample
+    if not 1.0 <= steps < MAX_SAMPLES:
         raise SessionError(
             f"resampling {stop - start:.6g} s to {sample_time:g} s would make {steps + 1.0:.3g} "
             f"samples, but 2 to {MAX_SAMPLES:,} are needed; check the times and their unit"
         )
-    count = int(steps + 1e-9) + 1  # rounding must not cost the last sample
-    return np.minimum(start + sample_time * np.arange(count), stop)
+    return np.minimum(start + sample_time * np.arange(int(steps) + 1), stop)
 
 
 def _method(name: str, method: str, rule: ColumnRule | None) -> str:
@@ -150,11 +152,12 @@ def _interpolate(
     return values[np.where(grid - times[left] <= times[right] - grid, left, right)]
 
 
-def _warn_of_gap(t: np.ndarray, sample_time: float, source: str) -> None:
+def _warn_of_gap(stream: Stream, sample_time: float, source: str) -> None:
     """Warn where resampling bridges a gap much longer than the log's own steps and the new ones."""
-    steps = np.diff(t)
+    t, steps = stream.t, np.diff(stream.t)
     k = int(np.argmax(steps))
     if steps[k] > 10.0 * max(float(np.median(steps)), sample_time):
         fault = f"{source}: resampling bridges a gap of {steps[k]:.6g} s at t = {t[k]:.6g} s"
+        fault += f" of topic {stream.topic!r}" if stream.topic else ""
         remedy = "if the log was interrupted, cut the session there (session.between)"
         warn(f"{fault}; {remedy}")

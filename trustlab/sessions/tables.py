@@ -113,7 +113,7 @@ def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[st
         file.seek(max(0, file.size() - HEAD))
         end = file.read()
     text = io.TextIOWrapper(io.BytesIO(head), layout.encoding, "surrogateescape", newline="")
-    lines = text.read().removeprefix("\ufeff").splitlines(keepends=True) or [""]
+    lines = [*io.StringIO(text.read().removeprefix("\ufeff"), newline="")] or [""]
     before, metadata = layout.skip_lines, Metadata()
     if lines[0].startswith(COMMENT) and not before:
         before, metadata = 1, metadata_from_json(lines[0][len(COMMENT) :])[0]
@@ -123,7 +123,9 @@ def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[st
         places = positions(chosen, names, layout.header)
     except (SessionError, csv.Error) as error:
         refuse_encoding(source, layout.encoding)
-        fault = _layout_fault(names, layout) or error
+        fault = f"a quotation mark that opens here does not close ({error})"
+        if isinstance(error, SessionError):
+            fault = _layout_fault(names, layout) or str(error)
         raise SessionError(f"line {before + 1}: {fault}") from error
     before += rows.line_num * layout.header  # a name may have a line break
     frame = _parsed(source, before, len(names), places, layout, {places[name] for name in texts})
