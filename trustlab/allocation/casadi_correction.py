@@ -196,7 +196,8 @@ class CorrectionProgram:
         z = np.vstack([thresholds, guess[[R, P_R]], np.r_[mode, guess[MODE, :-1]]])
         now, start = z[:2, :1], z[: self.moving, 1:]
         # Both thresholds stay between their values now and their targets, which are 0.
-        least, most = np.full_like(start, -np.inf), np.full_like(start, np.inf)
+        least = np.full_like(start, -np.inf)
+        most = -least
         least[:2], most[:2] = np.minimum(now, 0.0) - SLACK, np.maximum(now, 0.0) + SLACK
         greatest = [np.inf, 1.0, 1.0, 0.0, 0.0, 0.0][: self.moving + 1]  # of each step
         solution = self._solver(
@@ -205,7 +206,7 @@ class CorrectionProgram:
             lbx=least.ravel("F"),
             ubx=most.ravel("F"),
             lbg=0.0,
-            ubg=greatest * start.shape[1],
+            ubg=greatest * self.corrector.horizon,
         )
         reached = np.asarray(solution["x"]).reshape(-1, self.moving).T[:2]
         steps = np.diff(np.c_[now, reached], axis=1)[::-1] * c_b

@@ -361,7 +361,7 @@ def _followed(
     Return the first pair that does what is asked, else the most probable, how probable that is, and
     that utilization encloses β; decided sample by sample, from β and from rest, for all models.
     """
-    able = int((table[aim] >= asked).sum())
+    able = (table[aim] >= asked).sum()
     count = FOLLOWED if able else 1
     # The best lie at the edge of what the screening finds probable enough: then the most probable.
     likely = table[count:able].sort_values(aim, ascending=False, kind="stable")[:FOLLOWED]
