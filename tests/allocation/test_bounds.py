@@ -341,3 +341,14 @@ def test_proposition_1_order_of_the_dwell_times(sets, data, delta):
     bounds = steady_state_bounds(model, lower, upper, delta_tsc=delta)
     assert bounds.dwell_manual_low <= bounds.dwell_manual_high
     assert 0.0 <= bounds.r_low <= bounds.r_high <= 1.0
+
+
+@pytest.mark.parametrize("reach", [(0.05, 0.999), (0.001, 0.7), (0.2, 0.4)])
+def test_somebody_who_does_harm_lowers_the_robots_performance_by_more(reach):
+    """Oracle: (2.3) written out on a grid of states, its steps down and up."""
+    human = tl.HumanModel(0.99, 0.5, -0.4, 0.5)
+    model = tl.TscModel(tl.RobotModel(0.99, 0.2, 0.4, 0.5), human)
+    r, p_r = np.meshgrid(np.linspace(*reach, 2001), np.linspace(0.2, 0.4, 201))
+    p_h = -0.4 + 0.9 * shape(r, 0.5)
+    steps = [(0.99 - 1) * p_r + 0.01 * 0.2 + m * model.robot.b * p_h for m in (0, 1)]
+    assert step_bounds(model, *reach).delta_p_r == pytest.approx(np.abs(steps).max(), rel=1e-9)

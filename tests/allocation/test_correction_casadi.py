@@ -7,6 +7,7 @@ import casadi
 import numpy as np
 import pytest
 
+import trustlab as tl
 from tests.allocation import cases
 from tests.allocation.cases import PILOT, SECOND, TARGET
 
@@ -162,3 +163,18 @@ def test_at_rest_and_at_full_load_the_plan_is_finite():
 def test_options_that_cannot_be_used_are_refused(options, words):
     with pytest.raises(ValueError, match=words):
         engine(4, **options)
+
+
+@pytest.mark.parametrize("width", [0.0, 1e-3])
+def test_no_plan_lets_the_thresholds_cross(width):
+    """The target of the lower one lies above the upper one, which a cost holds back."""
+    start, cost = (0.0, 0.1), {"extra_cost": lambda x, u, k: 1e4 * u[0] ** 2}
+    ours = engine(10, 0.02, model=SECOND, target=(0.2, 0.35), switch_width=width, limit=9.0, **cost)
+    online = tl.OnlineCorrection(ours, start)
+    for _ in range(30):
+        step = online.update(0.3, 0.39)
+        assert step.status == "planned", step.message
+        assert online.lower < online.upper
+        free = ours.followed(np.array([step.r, 0.3, step.lower, step.upper]), 1, ours._clipped)
+        assert step.cost < 0.9 * ours.program._judged(free[0], free[2])[0]
+    assert online.lower > start[1]

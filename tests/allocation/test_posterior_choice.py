@@ -83,7 +83,8 @@ def test_a_clear_log_gets_thresholds_that_do_what_is_said(clear, operators):
 
 def test_an_unclear_log_abstains_and_says_what_to_record(unclear):
     with pytest.warns(
-        UserWarning, match="no pair .* keeps switching around β with probability 0.99"
+        UserWarning,
+        match="none of the pairs followed .* keeps switching around β with probability 0.99",
     ):
         choice = tl.choose_thresholds(unclear, confidence=0.99)
     assert not choice.offered
@@ -172,3 +173,27 @@ def test_200_people_keep_switching_as_often_as_is_stated():
             kept.append(switches_around_beta(person, choice.lower, choice.upper))
     assert len(kept) > 100
     assert np.mean(kept) >= np.mean(stated) - 0.03
+
+
+def test_where_the_best_fail_narrowly_the_most_probable_are_followed_too(clear, monkeypatch):
+    """The best of many pairs lie at the edge of what the screening finds probable enough."""
+    follow, tried = thresholds.survey, []
+
+    def survey(models, pairs, *lengths, **starts):
+        motions = follow(models, pairs, *lengths, **starts)
+        if starts:
+            tried.append(tuple(pairs[0]))
+            if len(tried) <= fails:
+                motions.loc[motions["model"] % 12 == 0, "p_encloses"] = False
+        return motions
+
+    monkeypatch.setattr(thresholds, "survey", survey)
+    fails = thresholds.FOLLOWED
+    choice = tl.choose_thresholds(clear)
+    rest = choice.candidates[fails:]
+    likely = rest.loc[rest["p_encloses"].idxmax(), ["lower", "upper"]]
+    assert choice.offered
+    assert tried[fails:] == [(choice.lower, choice.upper)] == [tuple(likely)]
+    fails, tried[:] = np.inf, []
+    with pytest.warns(UserWarning, match=r"none of the pairs followed .* does with 0\.917\."):
+        tl.choose_thresholds(clear)

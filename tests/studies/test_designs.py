@@ -156,3 +156,23 @@ def test_categories_that_do_not_occur_and_columns_named_twice():
 def test_a_score_that_is_missing_is_named():
     with refused("subject 1 has no score in condition 3"):
         run(williams().drop(index=2))
+
+
+def test_ranks_of_each_person_leave_nothing_to_compare_sequences_by():
+    """Everybody's ranks have one total; without their means the totals differ by rounding alone."""
+    frame = williams()
+    ranks = frame.groupby("subject")["score"].rank()
+    own = frame["score"] - frame.groupby("subject")["score"].transform("mean")
+    for score in (ranks, own, 0.1 * ranks):
+        row = effects_of(frame.assign(score=score)).loc["sequence"]
+        assert row["note"] == "not testable: subjects' means do not differ within sequences"
+        assert np.isnan(row[["F", "p"]].astype(float)).all()
+
+
+def test_orders_that_leave_no_degree_of_freedom_are_refused_whatever_rounding_leaves():
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame({"subject": [*"111222333"], "position": [1, 2, 3] * 3})
+    for _ in range(60):
+        scores = frame.assign(condition=[*"abcbaccab"], score=rng.normal(50.0, 20.0, 9))
+        with pytest.raises(ValueError, match="9 scores leave no error variance beside all"):
+            run(scores)

@@ -20,9 +20,11 @@ from trustlab.allocation.correction import C_L, C_U, MODE, P_R, L, R, U
 from trustlab.models.checks import not_negative, positive
 from trustlab.models.tsc import next_performance, next_utilization, tsc_at
 
-# How near to rest and full load (2.6) is differentiated, and the narrowest box, in c_b.
+# How near to rest and full load (2.6) is differentiated, and in c_b the narrowest box, how far
+# thresholds may leave their intervals, and how far apart they must stay.
 STEEP = 1e-9
 NARROW = 1e-9
+SLACK = 1e-6
 
 # The solver begins at the clipped plan, so that it needs neither a barrier that leads it away from
 # its bounds nor a first guess of multipliers; the pivot order is quicker than MUMPS' own choice.
@@ -134,12 +136,13 @@ class CorrectionProgram:
         after_r = next_utilization.py_func(r, mode, human.a)
         after_p = next_performance.py_func(p_r, p_h, mode, robot.a, robot.b, robot.p_min)
         missed = states[2:, :] - ca.vertcat(after_r, after_p, mode)
+        apart = (goal_u - goal_l) / c_b + states[0, :] - states[1, :] - SLACK
         cost = self._added(ca.vertcat(x, u)) / c_b**2 + ca.sumsqr(states[:2, :])
         program = {
             "x": ca.vec(moving),
             "p": ca.veccat(path, scale),
             "f": scale * cost,
-            "g": ca.vec(ca.vertcat(shares, missed)[: self.moving, :]),
+            "g": ca.vec(ca.vertcat(apart, shares, missed)[: self.moving + 1, :]),
         }
         ipopt = IPOPT | {"max_wall_time": self.limit}
         options = {"print_time": False, "error_on_fail": False, "expand": True, "ipopt": ipopt}
@@ -179,9 +182,12 @@ class CorrectionProgram:
         return (np.nan, path, UNSOLVED.format(reason=reason)) if reason else (cost, path, SOLVED)
 
     def _judged(self, cost: float, path: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the cost with the user's, infinite where that is no number, and the path."""
+        """
+        Return the cost with the user's, infinite where that is no number or the thresholds cross,
+        and the path.
+        """
         total = cost + float(self._added(path[[R, P_R, U, L, C_U, C_L], :-1]))
-        return (total if np.isfinite(total) else np.inf), path
+        return (total if np.isfinite(total) and all(path[L] < path[U]) else np.inf), path
 
     def _solved(self, mode: int, guess: np.ndarray) -> tuple[np.ndarray, str]:
         """Return c_l and c_u to which the solver comes from a path, and why not to use them."""
@@ -190,15 +196,17 @@ class CorrectionProgram:
         z = np.vstack([thresholds, guess[[R, P_R]], np.r_[mode, guess[MODE, :-1]]])
         now, start = z[:2, :1], z[: self.moving, 1:]
         # Both thresholds stay between their values now and their targets, which are 0.
-        least, most, share = np.full_like(start, -np.inf), np.full_like(start, np.inf), 0.0 * start
-        least[:2], most[:2], share[:2] = np.minimum(now, 0.0) - 1e-6, np.maximum(now, 0.0) + 1e-6, 1
+        least = np.full_like(start, -np.inf)
+        most = -least
+        least[:2], most[:2] = np.minimum(now, 0.0) - SLACK, np.maximum(now, 0.0) + SLACK
+        greatest = [np.inf, 1.0, 1.0, 0.0, 0.0, 0.0][: self.moving + 1]  # of each step
         solution = self._solver(
             x0=start.ravel("F"),
             p=np.r_[z.ravel("F"), 1.0 / max(1.0, np.sum(now**2))],
             lbx=least.ravel("F"),
             ubx=most.ravel("F"),
             lbg=0.0,
-            ubg=share.ravel("F"),
+            ubg=greatest * self.corrector.horizon,
         )
         reached = np.asarray(solution["x"]).reshape(-1, self.moving).T[:2]
         steps = np.diff(np.c_[now, reached], axis=1)[::-1] * c_b

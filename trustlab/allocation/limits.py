@@ -15,7 +15,7 @@ from trustlab.models.checks import (
     shown,
 )
 from trustlab.models.display import Result
-from trustlab.models.tsc import TscConstants, TscModel, next_utilization
+from trustlab.models.tsc import TscConstants, TscModel, human_range, next_utilization
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,9 @@ def step_bounds(tsc: TscModel, r_low: float = 0.05, r_high: float = 0.95) -> Ste
             k = int(np.argmax(change))
             r = np.linspace(r[max(k - 1, 0)], r[min(k + 1, 4000)], 4001)
         delta_p_h = max(delta_p_h, float(change[k]))
-    delta_p_r = max((1.0 - robot.a) * (robot.p_max - robot.p_min), robot.b * human.p_max)
+    least, most = human_range(low, high, tsc.constants())
+    falls = (1.0 - robot.a) * (robot.p_max - robot.p_min) - robot.b * min(least, 0.0)
+    delta_p_r = max(falls, robot.b * most)
     return StepBounds(delta_p_h, delta_p_r, tsc.delta(delta_p_r, delta_p_h))
 
 

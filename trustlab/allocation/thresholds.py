@@ -35,8 +35,8 @@ from trustlab.models.checks import (
 from trustlab.models.display import Result, axes_or_new
 from trustlab.models.tsc import TscConstants, TscModel
 
-# Draws of a posterior by which pairs are screened, and pairs that are then followed sample by
-# sample, with all draws, until one keeps its promise.
+# Draws of a posterior by which pairs are screened, and how many pairs, the best and then the most
+# probable, are followed sample by sample, with all draws, until one keeps its promise.
 SCREENED = 200
 FOLLOWED = 6
 
@@ -285,16 +285,18 @@ def choose_thresholds(
         table = _ranked(motions, objective, asked, aim)
         lower, upper, probability, around = _followed(models, table, asked, aim)
         if probability < asked:
-            reason = f"no pair between {pairs.min():.3f} and {pairs.max():.3f} {goal}"
+            reason = (
+                f"none of the pairs followed between {pairs.min():.3f} and {pairs.max():.3f} {goal}"
+            )
             if of_posterior:
-                reason += f" with probability {asked:g}; the nearest does with {probability:.2f}. "
+                reason += f" with probability {asked:g}; the nearest does with {probability:.3f}. "
                 reason += _what_would_help(source, table, asked, aim)
             elif enclose:
                 reason += _how_near(limit_cycle(source, lower, upper))
         else:
             sure = "for exactly this model" if fit is None else OF_A_FIT
             if of_posterior:
-                sure = f"with probability {probability:.2f} (asked for: {asked:g})"
+                sure = f"with probability {probability:.3f} (asked for: {asked:g})"
             best = OBJECTIVES.get(str(objective), "greatest weighted performance")
             message = (
                 f"Thresholds {lower:.3f} and {upper:.3f}: the rule {goal} {sure}; of the pairs "
@@ -359,9 +361,12 @@ def _followed(
     Return the first pair that does what is asked, else the most probable, how probable that is, and
     that utilization encloses β; decided sample by sample, from β and from rest, for all models.
     """
-    count = FOLLOWED if table[aim][0] >= asked else 1
+    able = (table[aim] >= asked).sum()
+    count = FOLLOWED if able else 1
+    # The best lie at the edge of what the screening finds probable enough: then the most probable.
+    likely = table[count:able].sort_values(aim, ascending=False, kind="stable")[:FOLLOWED]
     tried = []
-    for pair in table[PAIR].to_numpy()[:count]:
+    for pair in pd.concat([table[:count], likely])[PAIR].to_numpy():
         motions = survey(models, [pair], starts=BOTH)
         shares = motions.groupby("model")[["p_switches", "p_encloses"]].all().mean()
         tried.append((*pair.tolist(), float(shares[aim]), float(shares["p_encloses"])))

@@ -148,14 +148,15 @@ def order_effects(
     full = direct | {"carry_over": carried.reshape(n * k, -1)}
     y = (scores - scores.mean(axis=None)).to_numpy()
     error, df = _residual(y.ravel(), full)
-    if error <= y.size * (ROUNDING * np.abs(scores).max(axis=None)) ** 2:
+    noise = y.size * (ROUNDING * np.abs(scores).max(axis=None)) ** 2
+    if df == 0 or error <= noise:
         raise ValueError(f"dv: {y.size} scores leave no error variance beside all effects")
     sequence = np.unique(codes, axis=0, return_inverse=True)[1]
     between = {"mean": np.ones((n, 1)), "sequence": np.eye(sequence.max() + 1)[sequence]}
     tests = [
-        _test("sequence", y.sum(axis=1) / np.sqrt(k), between),
-        *(_test(name, y.ravel(), full) for name in ("position", "condition", "carry_over")),
-        _test("condition", y.ravel(), direct) | {"effect": "condition_without_carry_over"},
+        _test("sequence", y.sum(axis=1) / np.sqrt(k), between, noise),
+        *(_test(name, y.ravel(), full, noise) for name in ("position", "condition", "carry_over")),
+        _test("condition", y.ravel(), direct, noise) | {"effect": "condition_without_carry_over"},
     ]
     separable = y.size - df == n + k - 1 + 2 * (len(labels) - 1)
     parts, design = full if separable else direct, Design(n, {condition: labels})
@@ -170,7 +171,7 @@ def _residual(y: np.ndarray, parts: dict[str, np.ndarray]) -> tuple[float, int]:
     return float(((y - x @ beta) ** 2).sum()), y.size - int(rank)
 
 
-def _test(effect: str, y: np.ndarray, parts: dict[str, np.ndarray]) -> dict[str, Any]:
+def _test(effect: str, y: np.ndarray, parts: dict[str, np.ndarray], noise: float) -> dict[str, Any]:
     """Return a row of the table: the regression on all parts against the one without the effect."""
     error, df2 = _residual(y, parts)
     total, df = _residual(y, {name: x for name, x in parts.items() if name != effect})
@@ -180,6 +181,8 @@ def _test(effect: str, y: np.ndarray, parts: dict[str, np.ndarray]) -> dict[str,
         note = "not estimable: these orders do not separate it from the other effects"
     elif df2 == 0:
         note = "not testable: every sequence has one subject"
+    elif error <= noise:  # what rounding can leave
+        note = "not testable: subjects' means do not differ within sequences"
     else:
         ss = total - error
         f = ss / df1 / (error / df2)
