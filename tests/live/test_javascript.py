@@ -39,7 +39,7 @@ def test_modules_are_linted(modules):
 
 
 @pytest.mark.skipif(NODE is None, reason="needs node: apt-get install nodejs")
-@pytest.mark.parametrize("name", ["hands", "view", "playout", "socket"])
+@pytest.mark.parametrize("name", ["hands", "view", "playout", "socket", "play"])
 def test_modules_in_node(modules, name):
     done = subprocess.run(
         [NODE, "--test", f"{name}.test.js"], cwd=modules, capture_output=True, text=True

@@ -392,7 +392,8 @@ def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, page,
         assert served.act("restart", page=number).status == status
     assert page.drive(5, 5) == {"done": True}
     again = driving_page(served.links["P01"])
-    assert again.begin()["k"] == 0
+    begun = again.begin()
+    assert (begun["k"], begun["config"]["attempt"]) == (0, 1)
     first, second = record(served.plan), record(served.plan, name="01-training.2")
     assert (len(first.rows), len(second.commands)) == (5, 0)
     assert first.end == "the experimenter let it be driven again"

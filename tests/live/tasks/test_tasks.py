@@ -124,14 +124,17 @@ def a_run(leader, picks, free, participant="P01", dwell=0.2):
 
 
 def test_an_occasion_lasts_until_the_leader_changes_or_a_dwell_time_has_passed():
-    leader = [1, 1, 1, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2]
-    free = [0, 1, 1, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1]
-    picks = [3, 2, 3, 3, 3, 3, 2, 1, 1, 1, 4, 1, 1, 1]
-    table = occasions(a_run(leader, picks, free), 0.2)
-    # from row 1 until the change at row 3; from row 6 for four rows; the next has no time to end
-    assert table["t"].tolist() == [0.05, 0.3]
-    assert table["most_trusted"].tolist() == [2, 2]
-    assert table["chosen"].tolist() == [2, 2]
+    config = configured("team", "by_hand", duration=40.0)
+    # switches at 8 s; at 13 s, the end of the dwell time, by a wish made before; and at 27 s
+    wishes = [0] * 160 + [2] * 2 + [3] * 378 + [4] * 260
+    session = session_of(config, [[0.5, 0.0, wish] for wish in wishes])
+    switched = 1 + np.flatnonzero(np.diff(session["leader"]))
+    assert switched.tolist() == [160, 260, 540]
+    table = occasions(session, config["min_dwell"])
+    assert table["t"].tolist() == [5.0, 13.0, 18.0, 23.0, 32.0]
+    assert table["chosen"].tolist() == [2, 3, 3, 4, 4]
+    picks = session["leader_most_trusted"][[100, 260, 360, 460, 640]]
+    assert table["most_trusted"].tolist() == picks.tolist()
 
 
 def test_agreement_is_cohens_kappa():
@@ -139,7 +142,7 @@ def test_agreement_is_cohens_kappa():
     runs, pooled = [], np.zeros(3)
     for person in range(5):
         picks = rng.integers(1, 5, 300)
-        leader = np.where(rng.random(300) < 0.6, np.roll(picks, 1), rng.integers(1, 5, 300))
+        leader = np.where(rng.random(300) < 0.6, picks, rng.integers(1, 5, 300))
         run = a_run(leader, picks, np.ones(300), f"P{person}")
         runs.append(run)
         table = occasions(run, 0.2)

@@ -50,6 +50,8 @@ export function play(root, open, on) {
     if (answer.other_window) return stop(config.words.other_window);
     if (answer.k === undefined) return stop(""); // over, or begun again elsewhere
     if (!task) begin(answer);
+    else if (answer.config && answer.config.attempt !== config.attempt)
+      return stop(""); // begun again while the connection was down
     on.heard(answer);
     waiting.splice(0, answer.k - have);
     const fresh = answer.k > have || !newest;

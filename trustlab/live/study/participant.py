@@ -317,7 +317,8 @@ class Participant:
         answer = trial.take(message)
         if "begin" in message:
             shown = {k: x for k, x in trial.settings.items() if k not in HIDDEN}
-            answer["config"] = shown | {"words": self.plan.content["words"]}
+            shown |= {"attempt": attempt.number, "words": self.plan.content["words"]}
+            answer["config"] = shown
         if trial.done:
             self._add_done(step, attempt=attempt.number, rows=len(trial.rows), link=trial.log.link)
             self.trial = None

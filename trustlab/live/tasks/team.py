@@ -326,17 +326,20 @@ def occasions(session: Session, dwell: float) -> pd.DataFrame:
     leader = session["leader"].astype(int)
     length = round(dwell / session.sample_time)
     rows = []
-    end = 0
+    end = length  # the first leader begins with the run
     for k in np.flatnonzero(session["may_switch"] > 0):
         if k < end:
             continue
         ahead = leader[k : k + length + 1]
-        switched = np.flatnonzero(ahead != leader[k])
+        # Who led before: a switch possible in row k, wished before, is made in that row.
+        switched = np.flatnonzero(ahead != leader[k - 1])
         if len(ahead) <= length and not switched.size:
             break  # the run ended before the person had the time
         end = int(k + (switched[0] if switched.size else length))
         picks = (int(session[f"leader_{name}"][k]) for name in ADVISERS)
         rows.append((session.t[k], *picks, leader[end]))
+        if switched.size:
+            end += length  # `may_switch` is of before the decision, so 1 in the rows of a switch
     return pd.DataFrame(rows, columns=["t", *ADVISERS, "chosen"])
 
 

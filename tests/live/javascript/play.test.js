@@ -1,0 +1,38 @@
+// A run over channels made here, with a task of its own. Oracle: what the page sent and was told.
+import assert from "node:assert";
+import { test } from "node:test";
+import { play } from "./play.js";
+import { TASKS } from "./tasks.js";
+
+globalThis.document = { addEventListener() {}, hidden: true };
+globalThis.requestAnimationFrame = () => {};
+TASKS.none = () => ({ moving: [], heard() {} });
+
+test("a drive that was begun again while the connection was down is not continued", async (t) => {
+  const channels = [],
+    ends = [];
+  const open = () => {
+    channels.push({ readyState: 1, close() {}, send() {} });
+    return channels.at(-1);
+  };
+  const run = play({}, open, { heard() {}, say() {}, end: (words) => ends.push(words) });
+  t.after(() => run.stop(""));
+  const begun = (attempt, k) => {
+    const config = { live_task: "none", sample_time: 0.05, samples: 9, words: {}, attempt };
+    channels.at(-1).onopen();
+    channels.at(-1).onmessage({ data: JSON.stringify({ k, done: false, picture: {}, config }) });
+  };
+  const again = async () => {
+    const before = channels.length;
+    channels.at(-1).onclose({ reason: "" });
+    while (channels.length === before) await new Promise((ok) => setTimeout(ok, 20));
+  };
+  begun(0, 0);
+  await again();
+  begun(0, 0);
+  assert.deepStrictEqual(ends, []);
+  await again();
+  begun(1, 0);
+  assert.deepStrictEqual(ends, [""]);
+  assert.ok(run.state().over);
+});
