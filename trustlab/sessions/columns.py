@@ -259,10 +259,10 @@ def parts_of(log: RawLog, recipe: Recipe, resampling: Resampling | None) -> list
         for part in parts
         if all(stream.t.size for stream in part) and max(np.ptp(each.t) for each in part) > least
     ]
+    split = f"split {' and '.join(reasons)}"
     if not whole:
-        fault = "no part has two samples, a sample time apart"
-        raise SessionError(f"split {' and '.join(reasons)}, {fault}")
-    words = f"of {len(whole)}, split {' and '.join(reasons)}; {len(parts) - len(whole)} too short"
+        raise SessionError(f"{split}, no part has two samples, a sample time apart")
+    words = f"of {len(whole)}, {split}; {len(parts) - len(whole)} too short"
     return [
         replace(
             log,
