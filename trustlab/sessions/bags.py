@@ -81,10 +81,11 @@ def _place(topic: str, numbers: Sequence[int]) -> Place:
 def _check_topics(reader, rules: Sequence[ColumnRule]) -> None:
     """Raise where a topic is not there, or its messages cannot be read."""
     types = _types(reader)
-    for topic, name in [(rule.topic, rule.name) for rule in rules]:
+    for rule in rules:
+        topic = rule.topic
         if topic not in types:
             hint = alternatives(topic, types, "it has")
-            raise SessionError(f"topic {topic!r} (for {name}) is not in the bag{hint}")
+            raise SessionError(f"topic {topic!r} (for {rule.name}) is not in the bag{hint}")
         if " and " in types[topic]:
             raise SessionError(f"topic {topic!r} has messages of two types: {types[topic]}")
         if types[topic] not in reader.typestore.fielddefs:

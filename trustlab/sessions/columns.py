@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -115,12 +116,11 @@ def stream_of(
 
 def _filled(t: np.ndarray, values: np.ndarray, way: str) -> np.ndarray:
     """Return values whose blanks hold the one before, or lie on a line between neighbours."""
-    known = np.flatnonzero(~np.isnan(values))
-    if way == "hold" or not known.size:
-        return pd.Series(values).ffill().to_numpy()
     blank = np.isnan(values)
+    if way == "hold" or blank.all():
+        return pd.Series(values).ffill().to_numpy()
     filled = values.copy()
-    filled[blank] = np.interp(t[blank], t[known], values[known], left=np.nan, right=np.nan)
+    filled[blank] = np.interp(t[blank], t[~blank], values[~blank], left=np.nan, right=np.nan)
     return filled
 
 
@@ -259,10 +259,10 @@ def parts_of(log: RawLog, recipe: Recipe, resampling: Resampling | None) -> list
         for part in parts
         if all(stream.t.size for stream in part) and max(np.ptp(each.t) for each in part) > least
     ]
+    split = f"split {' and '.join(reasons)}"
     if not whole:
-        fault = "no part has two samples, a sample time apart"
-        raise SessionError(f"split {' and '.join(reasons)}, {fault}")
-    words = f"of {len(whole)}, split {' and '.join(reasons)}; {len(parts) - len(whole)} too short"
+        raise SessionError(f"{split}, no part has two samples, a sample time apart")
+    words = f"of {len(whole)}, {split}; {len(parts) - len(whole)} too short"
     return [
         replace(
             log,
@@ -294,7 +294,7 @@ def _between_gaps(streams: list[Stream], gap: float) -> list[list[Stream]]:
     bounding = [stream for stream in streams if not stream.holds] or streams[:1]
     times = np.unique(np.concatenate([stream.t for stream in bounding]))
     ends = times[1:][np.diff(times) > gap]
-    spans = zip([-np.inf, *ends], [*ends, np.inf], strict=True)
+    spans = pairwise([-np.inf, *ends, np.inf])
     return [[_within(stream, *span) for stream in streams] for span in spans]
 
 
@@ -318,17 +318,14 @@ def session_of(
     resampling: Resampling | None,
 ) -> Session:
     """Return the session of a log; `values` are those of `derived_values`."""
-    first = log.streams[0]
-    place = first.place
+    place = log.streams[0].place
     if resampling is not None:
         for stream in log.streams:
             check_rising(stream.t, stream.place)
         frame, place = resample(log, resampling, recipe.columns), ROW
-    elif len(log.streams) > 1:
+    else:
         require_common_times(log)
         frame = pd.concat([stream.frame for stream in log.streams], axis=1)
-    else:
-        frame = first.frame.copy(deep=False)
     for rule in rules_of(recipe, selection):
         if rule.needs:
             frame[rule.name] = _computed(rule, frame)

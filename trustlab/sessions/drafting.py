@@ -129,8 +129,14 @@ def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
     comma = any(re.fullmatch(r"[+-]?\d+,\d+", cell) for row in rows[1:] for cell in row)
     header = not all(NUMBER.fullmatch(cell.replace(",", ".")) for cell in rows[0])
     decimal = "," if comma else "."
-    # What no recipe can state is refused.
-    parse(TableRule, {"delimiter": delimiter, "decimal": decimal}, "[table]")
+    layout = {
+        "header": header,
+        "delimiter": delimiter,
+        "decimal": decimal,
+        "skip_lines": skipped,
+        "encoding": encoding,
+    }
+    parse(TableRule, layout, "[table]")  # refuses what no recipe can state
     frame = pd.read_csv(
         io.StringIO("\n".join(lines[skipped:])),
         sep=r"\s+" if delimiter == " " else delimiter,
@@ -141,14 +147,9 @@ def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
         on_bad_lines="skip",
         index_col=False,
     )
-    layout = [
-        ("header", header, True),
-        ("delimiter", delimiter, ","),
-        ("decimal", decimal, "."),
-        ("skip_lines", skipped, 0),
-        ("encoding", encoding, "utf-8"),
-    ]
-    return [f"{key} = {json.dumps(value)}" for key, value, usual in layout if value != usual], frame
+    usual = vars(TableRule(delimiter=","))
+    stated = [f"{key} = {json.dumps(layout[key])}" for key in layout if layout[key] != usual[key]]
+    return stated, frame
 
 
 def _recipe(title: str, layout: list[str], frame: pd.DataFrame) -> str:

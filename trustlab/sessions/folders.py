@@ -126,29 +126,21 @@ def matching(folder: str, pattern: PathPattern, header: Header | None) -> list[s
 
 def _files(folder: str) -> Iterator[str]:
     """Yield the files at any depth of a folder, and its rosbag2 folders in place of their files."""
-    known = [Path(folder).resolve()]
+    known: list[Path] = []
     for here, folders, files in os.walk(folder, followlinks=True):
+        if not known or os.path.islink(here):  # a link may lead to what is read elsewhere
+            target = Path(here).resolve()
+            if any(target.is_relative_to(each) or each.is_relative_to(target) for each in known):
+                folders.clear()
+                continue
+            known.append(target)
         bags = [
             name for name in folders if os.path.isfile(os.path.join(here, name, "metadata.yaml"))
         ]
-        folders[:] = [
-            name
-            for name in sorted({*folders} - {*bags})
-            if not name.startswith(HIDDEN) and _leads_on(Path(here, name), known)
-        ]
+        folders[:] = sorted(name for name in {*folders} - {*bags} if not name.startswith(HIDDEN))
         for name in sorted([*bags, *files]):
             if PARTIAL not in name and not name.startswith(HIDDEN):
                 yield os.path.join(here, name)
-
-
-def _leads_on(path: Path, known: list[Path]) -> bool:
-    """Say whether to read a folder: a link, where it leads to none that is known; it becomes so."""
-    target = path.resolve()
-    if path.is_symlink():
-        if any(target.is_relative_to(each) or each.is_relative_to(target) for each in known):
-            return False
-        known.append(target)
-    return True
 
 
 def external_data(name: str) -> Path | None:

@@ -157,7 +157,7 @@ def _warn_of_gap(stream: Stream, sample_time: float, source: str) -> None:
     t, steps = stream.t, np.diff(stream.t)
     k = int(np.argmax(steps))
     if steps[k] > 10.0 * max(float(np.median(steps)), sample_time):
-        fault = f"{source}: resampling bridges a gap of {steps[k]:.6g} s at t = {t[k]:.6g} s"
-        fault += f" of topic {stream.topic!r}" if stream.topic else ""
+        where = f"{source} {stream.topic}".strip()
+        fault = f"{where}: resampling bridges a gap of {steps[k]:.6g} s at t = {t[k]:.6g} s"
         remedy = "if the log was interrupted, cut the session there (session.between)"
         warn(f"{fault}; {remedy}")

@@ -4,6 +4,7 @@ import csv
 import gzip
 import io
 import re
+from codecs import BOM_UTF8
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -109,11 +110,11 @@ def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[st
             spaced = re.sub(rb" {2,}", b" ", file.read())
         source = re.sub(rb"(?m)^ +| +(?=\r?$)", b"", spaced)
     with _opened(source) as file:
-        head = file.read(HEAD)
+        head = file.read(HEAD).removeprefix(BOM_UTF8)
         file.seek(max(0, file.size() - HEAD))
         end = file.read()
     text = io.TextIOWrapper(io.BytesIO(head), layout.encoding, "surrogateescape", newline="")
-    lines = [*io.StringIO(text.read().removeprefix("\ufeff"), newline="")] or [""]
+    lines = [*text] or [""]
     before, metadata = layout.skip_lines, Metadata()
     if lines[0].startswith(COMMENT) and not before:
         before, metadata = 1, metadata_from_json(lines[0][len(COMMENT) :])[0]
