@@ -539,3 +539,12 @@ def test_random_bodies_and_messages_make_no_mistake(served, client, page, count)
     study = tl.read_live_study(served.plan.folder)
     assert study.faults().empty
     assert study.export().exists()
+
+
+def test_a_link_that_somebody_reads_by_is_given_to_nobody_else(make_plan, serving, client):
+    with serving(make_plan(participants=2), enrol=True) as served:
+        join = served.overview()["join"]
+        assert served.state("P01").json["page"] == 0
+        places = [client(join, {}) for _ in range(2)]
+        assert [place.status for place in places] == [200, 409]
+        assert served.base + places[0].json["link"] == served.links["P02"]

@@ -371,7 +371,7 @@ class Participant:
 
     def enrol(self, body: dict) -> bool:
         """Take this place for somebody who came by the link for joining, if it is free."""
-        if self.events:
+        if self.events or self.last_request is not None:  # who reads the first page is no event
             return False
         self.add("enrol", completion=secrets.token_hex(4))
         return True
