@@ -4,10 +4,12 @@ import math
 import re
 import shutil
 import struct
+import sys
 import time
 from dataclasses import replace
 from datetime import date
 from threading import Event
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -718,3 +720,15 @@ def test_bags_of_other_kinds_are_named(node, tmp_path):
         with pytest.raises(SessionError, match="bag"):
             read_run(path)
         path.write_bytes(content)
+
+
+def test_a_message_that_no_replay_could_read_is_refused_before_the_robot_moves(
+    node, tmp_path, monkeypatch
+):
+    """One of the user's own workspace."""
+    monkeypatch.setitem(sys.modules, "own_msgs.msg", SimpleNamespace(Stick=fake_ros.Kind(TWIST)))
+    stick = Topic("/stick", "own_msgs/msg/Stick", ("linear.x", "angular.z"))
+    run = RunSettings(MODEL, "C3", (-0.2, 0.3), settings=SHORT, topics={"operator": stick})
+    with pytest.raises(ValueError, match="/stick: own_msgs/msg/Stick is no message of ROS 2"):
+        Allocation(node, run, tmp_path / "a.mcap")
+    assert (list(tmp_path.iterdir()), node.heard) == ([], {})

@@ -13,7 +13,7 @@ from typing import Any
 from trustlab.live.log import Log
 from trustlab.ros.core import AHEAD, Decision
 from trustlab.ros.feed import END, Feed
-from trustlab.ros.recorded import LOG, RobotRun, finish_run, log_entry
+from trustlab.ros.recorded import LOG, RobotRun, finish_run, log_entry, typestore
 from trustlab.ros.run import CLOCK, NOTE, RUN, STATES, RunSettings
 
 # Samples missing are made up for, step by step, up to this gap [s]; a note names a longer one.
@@ -84,7 +84,7 @@ class Allocation:
     Raises
     ------
     ValueError
-        If there is no message of a type.
+        If there is no message of a type, or it is none of ROS 2 Humble.
     FileExistsError
         If there is such a log already.
     """
@@ -100,6 +100,13 @@ class Allocation:
         self.due: float | None = None
         self.noted = 0
         self.senders = 1
+        known = typestore().types
+        for topic, kind in run.types().items():
+            if kind not in known:
+                raise ValueError(
+                    f"{topic}: {kind} is no message of ROS 2 itself, so that the run could not be "
+                    "read; send one that is"
+                )
         self.classes = {topic: _class(kind) for topic, kind in run.types().items()}
         *inputs, self.command = run.topics.values()
         # Refuses a type without the fields, before anything is sent.

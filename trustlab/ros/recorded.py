@@ -132,6 +132,14 @@ def log_entry(topic: str, now: int, data: bytes) -> list[Any]:
     return [topic, now, b64encode(data).decode()]
 
 
+def typestore() -> Any:
+    """Return the types of messages that a run can be replayed with."""
+    with extra("ros"):
+        from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_HUMBLE)
+
+
 def recorded_messages(path: Path) -> list[Message]:
     """Return every message that the bag of a run holds, in order."""
     with extra("ros"):
@@ -148,10 +156,7 @@ class Replay:
     def __init__(
         self, messages: list[Message], run: RunSettings | None = None, own_rules: bool = False
     ):
-        with extra("ros"):
-            from rosbags.typesys import Stores, get_typestore
-
-        self.store = store = get_typestore(Stores.ROS2_HUMBLE)
+        self.store = store = typestore()
         if not messages or messages[0][0] != RUN:
             raise SessionError("no run is recorded here; remove the file")
         _, start, data = messages[0]
