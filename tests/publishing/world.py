@@ -84,7 +84,7 @@ def publish(root, *names, parameters=""):
 
 def write_book(root):
     """Let Sphinx write the book; return what it did."""
-    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "docs", "reports"]
+    command = [sys.executable, "-m", "sphinx", "-q", "-N", "-W", "--keep-going", "docs", "reports"]
     return subprocess.run(command, cwd=root, capture_output=True, text=True)
 
 
