@@ -72,7 +72,7 @@ class CorrectionProgram:
     def __init__(
         self,
         corrector: Any,
-        extra_cost: Callable = lambda x, u, k: 0.0,
+        extra_cost: Callable | None = None,
         switch_width: float = 1e-3,
         limit: float = 1.0,
     ):
@@ -84,10 +84,14 @@ class CorrectionProgram:
         # modes are given, corrections move the thresholds alone.
         self.moving = 5 if self.width else 2
         self.limit = positive("limit", limit)
+        # Only a cost of one's own has reasons to move one threshold beyond the other.
+        self.guarded = extra_cost is not None
         robot, c_b = corrector.tsc.robot, corrector.c_b
         x, u, k = ca.MX.sym("x", 4), ca.MX.sym("u", 2), ca.MX.sym("k")
         try:
-            added = ca.Function("added", [x, u, k], [ca.MX(extra_cost(x, u, k))])
+            added = ca.Function(
+                "added", [x, u, k], [ca.MX(extra_cost(x, u, k) if extra_cost else 0.0)]
+            )
             bounds = corrector.incentive(x[0], x[1], c_b, robot.p_min, robot.p_max)
             box = ca.Function("box", [x], [ca.MX(bound) for bound in bounds])
         except Exception as error:
@@ -136,13 +140,16 @@ class CorrectionProgram:
         after_r = next_utilization.py_func(r, mode, human.a)
         after_p = next_performance.py_func(p_r, p_h, mode, robot.a, robot.b, robot.p_min)
         missed = states[2:, :] - ca.vertcat(after_r, after_p, mode)
-        apart = (goal_u - goal_l) / c_b + states[0, :] - states[1, :] - SLACK
+        rows = ca.vertcat(shares, missed)[: self.moving, :]
+        if self.guarded:
+            apart = (goal_u - goal_l) / c_b + states[0, :] - states[1, :] - SLACK
+            rows = ca.vertcat(apart, rows)
         cost = self._added(ca.vertcat(x, u)) / c_b**2 + ca.sumsqr(states[:2, :])
         program = {
             "x": ca.vec(moving),
             "p": ca.veccat(path, scale),
             "f": scale * cost,
-            "g": ca.vec(ca.vertcat(apart, shares, missed)[: self.moving + 1, :]),
+            "g": ca.vec(rows),
         }
         ipopt = IPOPT | {"max_wall_time": self.limit}
         options = {"print_time": False, "error_on_fail": False, "expand": True, "ipopt": ipopt}
@@ -199,7 +206,7 @@ class CorrectionProgram:
         least = np.full_like(start, -np.inf)
         most = -least
         least[:2], most[:2] = np.minimum(now, 0.0) - SLACK, np.maximum(now, 0.0) + SLACK
-        greatest = [np.inf, 1.0, 1.0, 0.0, 0.0, 0.0][: self.moving + 1]  # of each step
+        greatest = [np.inf] * self.guarded + [1.0, 1.0, 0.0, 0.0, 0.0][: self.moving]
         solution = self._solver(
             x0=start.ravel("F"),
             p=np.r_[z.ravel("F"), 1.0 / max(1.0, np.sum(now**2))],
