@@ -4,12 +4,14 @@ import { complain, element, posted } from "./page.js";
 
 const base = location.pathname.replace(/\/$/, "");
 const table = document.querySelector("tbody");
+let refused = ""; // why the last action was not done: it stays until the next one
 
 async function act(body) {
-  const answer = await fetch(`${base}/act`, posted(body));
-  if (answer.ok) return show(await answer.json());
-  const { error } = await answer.json().catch(() => ({}));
-  complain(`That could not be done: ${error ?? `error ${answer.status}`}`);
+  const answer = await fetch(`${base}/act`, posted(body)),
+    told = await answer.json().catch(() => ({}));
+  refused = answer.ok ? "" : `That could not be done: ${told.error ?? `error ${answer.status}`}`;
+  if (answer.ok) show(told);
+  complain(refused);
 }
 
 function buttons(who) {
@@ -116,7 +118,7 @@ async function watch() {
       if (answer.ok) {
         const state = await answer.json();
         show(state);
-        complain(state.trouble);
+        complain(`${refused} ${state.trouble}`.trim());
       } else complain(`The server answers with error ${answer.status}; see its terminal.`);
     } catch {
       complain("The server does not answer.");

@@ -9,6 +9,8 @@ button.addEventListener("click", async () => {
       { link, error } = await answer.json();
     if (link) location.replace(link);
     else complain(error);
+  } catch {
+    complain(button.dataset.failed);
   } finally {
     button.disabled = false;
   }
