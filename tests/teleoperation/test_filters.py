@@ -6,7 +6,8 @@ Oracles: python-control; the channel written out as transfer functions.
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
+from numpy.testing import assert_allclose
 
 from tests.loops import random_signals
 from trustlab.teleoperation import STUDIES
@@ -30,7 +31,6 @@ def signals(seed, count=2000):
 
 
 @given(st.floats(1e-3, 1e4))
-@settings(max_examples=40)
 def test_one_pole_needs_a_quarter(cutoff):
     margin = passivity_margin([cutoff], [1.0, cutoff])
     assert margin.least_product == pytest.approx(0.25, rel=1e-12)
@@ -38,7 +38,6 @@ def test_one_pole_needs_a_quarter(cutoff):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=60)
 def test_margin_against_a_grid_of_frequencies(seed):
     """Oracle: (Im H)² on a dense grid."""
     rng = np.random.default_rng([72, seed])
@@ -70,7 +69,6 @@ def test_printed_choice_makes_half_a_unit_per_second_for_ever():
 
 
 @given(st.integers(0, 10_000), st.floats(0.25, 2.0), st.floats(-2.0, 2.0), st.floats(-1.0, 3.0))
-@settings(max_examples=100)
 def test_corrected_filter_never_generates(seed, product, impedance, cutoff):
     root = np.sqrt(product)
     two_port = TwoPortFilter(10**cutoff, root / 10**impedance, root * 10**impedance)
@@ -97,8 +95,8 @@ def test_signals_and_storage_of_one_sample():
     a, c = np.array([[1.0, 0.0], [0.0, 2.0]]) * 2.0 * g / (1.0 + g)
     stored = (two_port.k21 * a @ a + two_port.k12 * c @ c) / 3.0
     assert run.storage[0] == pytest.approx(stored, rel=1e-12)
-    np.testing.assert_allclose(run.y_1[0], 0.5 * a - two_port.k12 * np.array([0.0, 2.0]))
-    np.testing.assert_allclose(run.y_2[0], two_port.k21 * np.array([1.0, 0.0]) + 0.5 * c)
+    assert_allclose(run.y_1[0], 0.5 * a - two_port.k12 * np.array([0.0, 2.0]))
+    assert_allclose(run.y_2[0], two_port.k21 * np.array([1.0, 0.0]) + 0.5 * c)
 
 
 # --- transparency ---------------------------------------------------------------------------------
@@ -123,5 +121,5 @@ def test_scales_fall_from_their_upper_to_their_lower_bound_as_trust_grows():
     lines = {line.get_label(): line for line in STUDIES["main"].plot_scales().lines}
     trust, scale = lines["β, logistic"].get_data()
     fall = (ends.beta_max - ends.beta_min) / (1.0 + np.exp(-10.0 * (trust - 0.5)))
-    np.testing.assert_allclose(scale, ends.beta_max - fall, rtol=1e-12)
+    assert_allclose(scale, ends.beta_max - fall, rtol=1e-12)
     assert set(lines["α, step"].get_ydata()) == {ends.alpha_min, ends.alpha_max}

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import trustlab as tl
 from trustlab.allocation.rules import performance_suggestion
@@ -46,14 +47,14 @@ def test_the_log_agrees_with_models_and_measures(bed):
     for run in bed.runs.values():
         session, model = run.session, run.model
         used = model.human.simulate(session["mode"])[0]
-        np.testing.assert_allclose(session["r"], used, atol=1e-12)
+        assert_allclose(session["r"], used, atol=1e-12)
         again = session.with_performance(window=100.0, **bed.measure)
         for name in ("p_r", "p_h"):
-            np.testing.assert_allclose(session[name], again[name], atol=1e-11)
+            assert_allclose(session[name], again[name], atol=1e-11)
         tsc = model.value(session["p_r"], session["p_h"])
-        np.testing.assert_allclose(session["tsc"], tsc, atol=1e-12)
+        assert_allclose(session["tsc"], tsc, atol=1e-12)
         apart = [session[f"reference_{axis}"] - session[f"robot_{axis}"] for axis in "xy"]
-        np.testing.assert_allclose(session["path_error"], np.hypot(*apart), atol=1e-12)
+        assert_allclose(session["path_error"], np.hypot(*apart), atol=1e-12)
         assert session.metadata.synthetic
 
 
@@ -69,7 +70,7 @@ def test_suggestions_are_those_of_the_rules(bed):
                 expected[k] = now = threshold_mode(tsc, *run.thresholds, now)
             elif algorithm == 3:
                 expected[k] = performance_suggestion(p_r, robot.p_min, robot.p_max)
-        np.testing.assert_array_equal(shown[after], expected)
+        assert_array_equal(shown[after], expected)
         if bed.name == "ground_robot" and name != "C1":
             assert {0.0, 1.0} <= set(expected)
         if forced:
@@ -125,7 +126,7 @@ def test_a_rule_decides_from_what_is_measured(bed):
         if decided:
             now = 1 if p_r < bed.low else 0 if p_r > bed.high else now
         modes.append(now)
-    np.testing.assert_array_equal(log["mode"], modes)
+    assert_array_equal(log["mode"], modes)
     assert Relay.last.calls == decides.sum()
     assert rule.calls == 0
     assert np.count_nonzero(np.diff(modes)) >= 2
@@ -134,7 +135,7 @@ def test_a_rule_decides_from_what_is_measured(bed):
     if bed.name == "ground_robot":  # these modes, driven as given, give the same log
         again = drive_modes(np.array(modes), published_operator(2), seed=3)
         for name in ("p_r", "p_h", "r", "path_error", "robot_x", "yaw"):
-            np.testing.assert_array_equal(again[name], log[name])
+            assert_array_equal(again[name], log[name])
 
 
 class Late:

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy import stats
 
 import trustlab as tl
@@ -59,7 +60,7 @@ def test_attention_costs_while_a_suggestion_stands_that_may_be_declined():
     declined = {"follow_tsc": 0.0, "ignoring_time": 3000.0}
     costly, before = (run("C2", attention_cost=cost, **declined).session for cost in (0.2, 0.0))
     first = int(np.argmax(before["suggested_mode"] == 0.0))
-    np.testing.assert_array_equal(costly["p_h"][: first + 1], before["p_h"][: first + 1])
+    assert_array_equal(costly["p_h"][: first + 1], before["p_h"][: first + 1])
     later = slice(first + 1000, first + 1200)
     assert costly["p_h"][later].mean() / before["p_h"][later].mean() == pytest.approx(0.8, abs=0.05)
 
@@ -68,7 +69,7 @@ def test_bias_shifts_the_thresholds_of_tsc_as_measured():
     exact = {"lower_spread": 0.0, "upper_spread": 0.0, "reaction_lag": 0.0}
     trusting = run("C1", trust_bias=0.1, lower=-0.2, upper=0.5, **exact).session
     shifted = run("C1", lower=-0.3, upper=0.4, **exact).session
-    np.testing.assert_array_equal(trusting["mode"], shifted["mode"])
+    assert_array_equal(trusting["mode"], shifted["mode"])
     assert run("C3", trust_bias=0.1).session == run("C3").session
 
 
@@ -84,14 +85,14 @@ def test_own_is_c3_with_the_thresholds_that_switches_in_c1_show(bed):
             ("own", replace(someone, attention_cost=0.3), None),
         )
     )
-    np.testing.assert_array_equal(own, suggested)
-    np.testing.assert_array_equal(own, costly)
+    assert_array_equal(own, suggested)
+    assert_array_equal(own, costly)
 
 
 def test_random_suggestions_come_at_random_times_and_cost_no_attention():
     at_once = {"laps": 300, "seed": 0, "reaction_lag": 0.0}
     session, costly = (run("random", attention_cost=c, **at_once).session for c in (0.0, 0.3))
-    np.testing.assert_array_equal(session.data, costly.data)
+    assert_array_equal(session.data, costly.data)
     after = session["mode"][session.t >= SETTLING]
     lengths = SAMPLE_TIME * np.diff(np.flatnonzero(np.diff(after)))
     assert lengths.size > 100

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import trustlab as tl
 from tests.cases import distance
@@ -115,7 +116,7 @@ def test_the_course_is_the_rounded_polygon():
     assert (path[0, :2] == path[-1, :2]).all()
     direction = np.unwrap(np.arctan2(*np.diff(path[:, :2], axis=0).T[::-1]))
     assert np.abs(np.diff(direction)).max() < 1.1 * RESOLUTION / course.radius
-    np.testing.assert_allclose(distance(course, *course.posts.T), HALF_WIDTH, atol=0.01)
+    assert_allclose(distance(course, *course.posts.T), HALF_WIDTH, atol=0.01)
 
 
 WEAK = Pioneer(
@@ -142,4 +143,4 @@ def test_limits_hold(one, robot):
     assert session["v_command"].max() <= robot.max_speed
     assert np.abs(session["w_command"]).max() == robot.max_turn_rate  # the hand does reach it
     moved = np.hypot(np.diff(session["robot_x"]), np.diff(session["robot_y"]))
-    np.testing.assert_allclose(session["step_distance"][1:], moved, atol=1e-12)
+    assert_allclose(session["step_distance"][1:], moved, atol=1e-12)

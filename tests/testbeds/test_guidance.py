@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import trustlab as tl
-from tests.loops import T, columns, jitter, power
+from tests.loops import T, columns, each_guidance, jitter, power
 from trustlab.teleoperation import STUDIES, DivergenceError, Guidance, GuidanceBudget
-from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.testbeds.uav_tracking import TrackingTask
 
 # --- guidance -------------------------------------------------------------------------------------
@@ -58,7 +58,7 @@ def taken_at_random(guidance, seed, seconds):
         run = error.session
     given = T * power(run, "r_m", "f_m")
     rounding = 1e-9 * np.abs(given).sum() + 1e-14
-    np.testing.assert_allclose(run["energy_port"], given.cumsum(), rtol=1e-9, atol=rounding)
+    assert_allclose(run["energy_port"], given.cumsum(), rtol=1e-9, atol=rounding)
     exchanged = T * np.abs(columns(run, "r_m") * columns(run, "f_m")).sum(axis=1).cumsum()
     assert (run["energy_channel"] >= -1e-9 * exchanged - 1e-12).all()
     return given.cumsum()
@@ -88,7 +88,7 @@ def overspent(seeds, guard="repay", budgeted=True):
     return excess
 
 
-@pytest.mark.parametrize("guidance", GUIDANCE)
+@each_guidance
 @pytest.mark.parametrize("seeds", [10, pytest.param(500, marks=pytest.mark.long)])
 def test_the_operators_port_never_gives_out_more_than_it_took(seeds, guidance):
     assert min(deepest(guidance, "repay", seeds)) >= -1e-9
@@ -122,7 +122,7 @@ def test_a_budget_is_felt_and_is_off_by_default():
     assert runs[0] == tl.simulate_teleoperation("M", seed=1, duration=30.0)
 
 
-@pytest.mark.parametrize("guidance", GUIDANCE)
+@each_guidance
 def test_without_its_guard_every_guidance_gives_energy_out(guidance):
     assert min(deepest(guidance, "off", 4)) < -0.1
 
@@ -139,7 +139,7 @@ def test_the_exception_is_the_printed_guidance_without_its_guard_a_hidden_autopi
     # by (3.22) the force drives the robot, whatever the operator does: r_s = α (open − f_s/b) with
     # nothing arriving
     b = STUDIES["main"].scattering.b
-    np.testing.assert_allclose(columns(run, "r_s")[:3], -columns(run, "f_s")[:3] / b, atol=1e-12)
+    assert_allclose(columns(run, "r_s")[:3], -columns(run, "f_s")[:3] / b, atol=1e-12)
 
 
 def guided(stiffness, guard):
@@ -173,5 +173,5 @@ def test_no_force_towards_a_target_that_nobody_sees(view):
     seen[late:] = (np.abs(error[:-late, :2]) <= view).all(axis=1)
     asked = np.array(asked)[-len(run) :]
     assert not asked[~seen].any()
-    np.testing.assert_allclose(asked[late:][seen[late:]], error[:-late][seen[late:]], atol=1e-12)
+    assert_allclose(asked[late:][seen[late:]], error[:-late][seen[late:]], atol=1e-12)
     assert (~seen[late:]).mean() > 0.5 if view == 0.3 else seen[late:].all()
