@@ -8,13 +8,14 @@ from numpy.testing import assert_allclose
 
 import trustlab as tl
 from tests.loops import T, columns, each_guidance, jitter, power
+from trustlab import Teleoperator, TrackingTask, simulate_teleoperation
 from trustlab.teleoperation import STUDIES, DivergenceError, Guidance, GuidanceBudget
-from trustlab.testbeds.uav_tracking import TrackingTask
 
 # --- guidance -------------------------------------------------------------------------------------
 
 
-IDLE = tl.Teleoperator(proportional=0.0, derivative=0.0, noise=0.0, stiffness=0.0, damping=0.0)
+MAIN = STUDIES["main"]
+IDLE = Teleoperator(proportional=0.0, derivative=0.0, noise=0.0, stiffness=0.0, damping=0.0)
 
 
 def switching(state):
@@ -35,25 +36,23 @@ def taken_at_random(guidance, seed, seconds):
     rng, count = np.random.default_rng([5, seed]), round(seconds / T)
     walks, most = rng.integers(1 << 30, size=2), rng.uniform(0.05, 0.8, 2)
     study = STUDIES[("main", "preliminary")[seed % 2]]
-    arguments = {
-        "study": replace(study, k_ffa=study.k_ffa * 10.0 ** rng.uniform(-1.0, 2.0)),
-        "operator": tl.Teleoperator(
-            noise=rng.uniform(0.0, 1.5),
-            stiffness=rng.uniform(0.0, 120.0),
-            damping=rng.uniform(0.0, 5.0),
-            proportional=rng.uniform(0.0, 3.0),
-            reach=2.0,
-        ),
-        "delay": tuple(jitter(int(walk), late) for walk, late in zip(walks, most, strict=True)),
-        "signals": {
-            "arrives": rng.uniform(size=(count, 2)) >= 0.5,
-            "push": rng.normal(size=(count, 3)) * rng.uniform(0.0, 3.0),
-        },
+    study = replace(study, k_ffa=study.k_ffa * 10.0 ** rng.uniform(-1.0, 2.0))
+    who = Teleoperator(
+        noise=rng.uniform(0.0, 1.5),
+        stiffness=rng.uniform(0.0, 120.0),
+        damping=rng.uniform(0.0, 5.0),
+        proportional=rng.uniform(0.0, 3.0),
+        reach=2.0,
+    )
+    delay = tuple(jitter(int(walk), late) for walk, late in zip(walks, most, strict=True))
+    signals = {
+        "arrives": rng.uniform(size=(count, 2)) >= 0.5,
+        "push": rng.normal(size=(count, 3)) * rng.uniform(0.0, 3.0),
     }
+    parts = {"delay": delay, "guidance": guidance, "signals": signals}
     scheme = (SWITCHING, "TMIS", "TMIG", "MMI")[seed % 4]
-    arguments |= {"seed": seed, "duration": seconds, "guidance": guidance}
     try:
-        run = tl.simulate_teleoperation(scheme, **arguments)
+        run = simulate_teleoperation(scheme, who, study, seed, seconds, **parts)
     except DivergenceError as error:
         run = error.session
     given = T * power(run, "r_m", "f_m")
@@ -108,18 +107,17 @@ def test_what_breaks_the_bound_of_a_budget():
 
 
 def test_a_budget_is_felt_and_is_off_by_default():
-    budget = GuidanceBudget(energy=0.2, power=0.5)
-    runs = [
-        tl.simulate_teleoperation("M", seed=1, duration=30.0, guidance=Guidance(budget=b))
-        for b in (None, budget)
-    ]
-    before, felt = (tl.teleoperation_measures(run).iloc[0] for run in runs)
+    budget, same = GuidanceBudget(energy=0.2, power=0.5), {"seed": 1, "duration": 30.0}
+    usual, freer = (
+        simulate_teleoperation("M", guidance=Guidance(budget=b), **same) for b in (None, budget)
+    )
+    assert usual == simulate_teleoperation("M", **same)
+    before, felt = tl.teleoperation_measures([usual, freer]).to_dict("records")
     assert before["guidance_felt"] < 0.6
     assert before["guarded"] > 0.95
     assert felt["guidance_felt"] > 0.9
     assert felt["guarded"] < 0.5
     assert -budget.bound(30.0) <= felt["energy_port_min"] < -1.0
-    assert runs[0] == tl.simulate_teleoperation("M", seed=1, duration=30.0)
 
 
 @each_guidance
@@ -128,8 +126,7 @@ def test_without_its_guard_every_guidance_gives_energy_out(guidance):
 
 
 def test_the_exception_is_the_printed_guidance_without_its_guard_a_hidden_autopilot():
-    unguarded = Guidance("through_channel", "off")
-    run = tl.simulate_teleoperation("M", IDLE, duration=120.0, guidance=unguarded)
+    run = simulate_teleoperation("M", IDLE, guidance=Guidance("through_channel", "off"))
     assert run["path_error"].mean() == pytest.approx(0.07, abs=0.005)
     reference = columns(run, "reference")  # a robot that stays where it starts would miss it
     assert np.linalg.norm(reference - reference[0], axis=1).mean() > 1.0
@@ -138,14 +135,13 @@ def test_the_exception_is_the_printed_guidance_without_its_guard_a_hidden_autopi
     assert run["energy_target"][-1] / given == pytest.approx(1.0, abs=0.03)
     # by (3.22) the force drives the robot, whatever the operator does: r_s = α (open − f_s/b) with
     # nothing arriving
-    b = STUDIES["main"].scattering.b
+    b = MAIN.scattering.b
     assert_allclose(columns(run, "r_s")[:3], -columns(run, "f_s")[:3] / b, atol=1e-12)
 
 
 def guided(stiffness, guard):
-    study = replace(STUDIES["main"], k_ffa=stiffness)
-    guidance = Guidance("through_channel", guard)
-    return tl.simulate_teleoperation("M", study=study, seed=1, guidance=guidance)
+    study, guidance = replace(MAIN, k_ffa=stiffness), Guidance("through_channel", guard)
+    return simulate_teleoperation("M", study=study, seed=1, guidance=guidance)
 
 
 def test_the_printed_controller_stops_the_operator_and_stiff_guidance_is_not_passive_under_it():
@@ -164,7 +160,7 @@ def test_no_force_towards_a_target_that_nobody_sees(view):
         asked.append(state.stretch.copy())
         return -6.0 * state.stretch
 
-    run = tl.simulate_teleoperation(
+    run = simulate_teleoperation(
         "M", IDLE, seed=1, duration=30.0, task=task, guidance=Guidance(guard="off", force=spring)
     )
     late = round(task.camera_delay / T)
