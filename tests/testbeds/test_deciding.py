@@ -14,19 +14,18 @@ from numpy.testing import assert_array_equal
 from scipy import stats
 
 import trustlab as tl
-from tests.cases import distance
-from trustlab.testbeds import Course, published_operator
+from tests.cases import distance, driver, model
+from trustlab import run_condition
+from trustlab.testbeds import Course
 from trustlab.testbeds.deciding import RANDOM_PHASE, SAMPLE_TIME, SETTLING
 from trustlab.testbeds.ground_robot.course import nearest_point, path_point
-
-MODEL = tl.published_models()["2"]
 
 
 def run(condition, seed=7, laps=4, **assumed):
     """Participant 2 with assumptions, on the ground robot."""
-    who = replace(published_operator(2), **assumed)
+    who = replace(driver(), **assumed)
     thresholds = (0.0, 0.35) if condition in ("C2", "C3") else None
-    return tl.run_condition(condition, who, MODEL, thresholds, laps=laps, seed=seed)
+    return run_condition(condition, who, model(), thresholds, laps=laps, seed=seed)
 
 
 COURSES = [
@@ -51,7 +50,7 @@ def test_the_nearest_point_is_looked_for_around_the_last_one(course):
 def test_a_robot_follows_any_closed_polyline():
     course = Course(((0, 0), (9, 0), (9, 9), (4, 5), (0, 9)), radius=0)
     bed = tl.testbeds.GroundRobot(laps=2, course=course)
-    measures = tl.run_condition("C5", 2, testbed=bed, seed=1).measures
+    measures = run_condition("C5", 2, testbed=bed, seed=1).measures
     assert measures["laps"] == 2
     assert measures["path_error"] < 1.0
 
@@ -75,14 +74,14 @@ def test_bias_shifts_the_thresholds_of_tsc_as_measured():
 
 @pytest.mark.parametrize("bed", [{"laps": 3}, {"testbed": "uav_following"}])
 def test_own_is_c3_with_the_thresholds_that_switches_in_c1_show(bed):
-    someone = replace(published_operator(2), trust_bias=0.05)
+    someone = replace(driver(), trust_bias=0.05)
     measured = (someone.lower - 0.05, someone.upper - 0.05)
     own, suggested, costly = (
-        tl.run_condition(condition, who, MODEL, thresholds, seed=3, **bed).session.data
-        for condition, who, thresholds in (
-            ("own", someone, None),
-            ("C3", someone, measured),
-            ("own", replace(someone, attention_cost=0.3), None),
+        run_condition(*who, seed=3, **bed).session.data
+        for who in (
+            ("own", someone, model()),
+            ("C3", someone, model(), measured),
+            ("own", replace(someone, attention_cost=0.3), model()),
         )
     )
     assert_array_equal(own, suggested)
