@@ -10,7 +10,6 @@ from hypothesis import given, strategies as st
 from numpy.testing import assert_allclose
 
 from tests.loops import random_signals
-from trustlab.teleoperation import STUDIES
 from trustlab.teleoperation.filters import (
     TwoPortFilter,
     corrected_filter,
@@ -30,13 +29,6 @@ def signals(seed, count=2000):
     return random_signals(np.random.default_rng([71, seed]), T * np.arange(count), fastest=3.0)
 
 
-@given(st.floats(1e-3, 1e4))
-def test_one_pole_needs_a_quarter(cutoff):
-    margin = passivity_margin([cutoff], [1.0, cutoff])
-    assert margin.least_product == pytest.approx(0.25, rel=1e-12)
-    assert margin.frequency == pytest.approx(cutoff, rel=1e-6)
-
-
 @given(st.integers(0, 10_000))
 def test_margin_against_a_grid_of_frequencies(seed):
     """Oracle: (Im H)² on a dense grid."""
@@ -50,13 +42,13 @@ def test_margin_against_a_grid_of_frequencies(seed):
     top = rng.normal(size=int(rng.integers(1, order + 2)))
     found = passivity_margin(top, bottom)
     # A pole near the axis makes a narrow peak: the grid is fine there too.
-    near = [w * (1.0 + np.linspace(-0.01, 0.01, 20_001)) for w in np.abs(poles)]
+    near = [w * (1.0 + np.linspace(-0.3, 0.3, 20_001)) for w in np.abs(poles)]
     omega = np.concatenate([[0.0], np.logspace(-4, 4, 80_001), *near])
     response = np.polyval(top, 1j * omega) / np.polyval(bottom, 1j * omega)
-    assert found.least_product == pytest.approx(
-        float((response.imag**2).max()), rel=1e-5, abs=1e-14
-    )
-    assert found.least_product >= (response.imag**2).max() * (1 - 1e-9)
+    heights = response.imag**2
+    assert found.least_product == pytest.approx(heights.max(), rel=1e-5, abs=1e-14)
+    assert found.least_product >= heights.max() * (1 - 1e-9)
+    assert found.frequency == pytest.approx(omega[heights.argmax()], rel=1e-3)
 
 
 def test_printed_choice_makes_half_a_unit_per_second_for_ever():
@@ -113,13 +105,3 @@ def test_dominance_is_the_ratio_of_the_coefficients_of_3_22():
     }
     channel = Scattering(b, 0.2, alpha, 0.1, beta)
     assert channel.dominance() == pytest.approx(expected, rel=1e-12)
-
-
-def test_scales_fall_from_their_upper_to_their_lower_bound_as_trust_grows():
-    """Oracle: (3.5) by hand."""
-    ends = STUDIES["main"].scattering
-    lines = {line.get_label(): line for line in STUDIES["main"].plot_scales().lines}
-    trust, scale = lines["β, logistic"].get_data()
-    fall = (ends.beta_max - ends.beta_min) / (1.0 + np.exp(-10.0 * (trust - 0.5)))
-    assert_allclose(scale, ends.beta_max - fall, rtol=1e-12)
-    assert set(lines["α, step"].get_ydata()) == {ends.alpha_min, ends.alpha_max}

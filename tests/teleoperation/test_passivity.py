@@ -111,15 +111,6 @@ def test_energies_are_those_of_the_loops_own_books():
     assert final.tolist() == answer.energies.iloc[-1].tolist()
 
 
-def test_without_its_guard_the_printed_guidance_is_not_passive():
-    printed = tl.teleoperation.Guidance("through_channel", "off")
-    run = tl.simulate_teleoperation("M", seed=1, duration=30.0, guidance=printed)
-    answer = passivity(run)
-    assert not answer.passive
-    assert answer.least_energy["robot"] < -1.0
-    assert "the robot's port had given out" in answer.message
-
-
 @pytest.mark.parametrize("force", [6.0, -6.0, 0.0])
 def test_energy_of_a_damper_and_of_a_motor(force):
     """A damper of 2 N s/m at 3 m/s takes 18 W; a motor that pushes with as much gives it out."""
@@ -128,7 +119,7 @@ def test_energy_of_a_damper_and_of_a_motor(force):
     assert_allclose(answer.energies["operator"], energies)
     assert answer.least_energy["operator"] == pytest.approx(min(energies.min(), 0.0))
     assert answer.passive == (force >= 0.0)
-    assert answer.bounded
+    assert ("the operator's port had given out 54 J" in answer.message) == (force < 0.0)
 
 
 def test_what_grows_is_not_bounded():

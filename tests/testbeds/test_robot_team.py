@@ -34,6 +34,16 @@ def random_graph(rng, robots):
             return graph
 
 
+def options(rng, seed):
+    policies = "random", RandomLeaders(0.0), "sequence", "most_trusted", "hysteresis"
+    return {
+        "policy": policies[seed % 5],
+        "goal": rng.uniform(-5.0, 5.0, 3),
+        "seed": seed,
+        "filters": FILTERS[seed % 3],
+    }
+
+
 def random_team(seed):
     """
     A random team: graph, delay to 1.5 s, per-robot b and bounds, policy, τ_min = 5 T, filter, start
@@ -48,16 +58,11 @@ def random_team(seed):
         for low in lows
     )
     delay = rng.uniform(0.05, 1.5)
-    policies = "random", RandomLeaders(0.0), "sequence", "most_trusted", "hysteresis"
-    return {
+    return options(rng, seed) | {
         "graph": graph,
-        "policy": policies[seed % 5],
-        "goal": rng.uniform(-5.0, 5.0, 3),
-        "seed": seed,
         "scattering": ends,
         "delay": delay,
         "min_dwell": 5.0 * delay,
-        "filters": FILTERS[seed % 3],
         "start": rng.uniform(-5.0, 5.0, (robots, 3)),
     }
 
@@ -78,16 +83,12 @@ def changing_team(seed):
             edge["weight"] = rng.uniform(0.3, 3.0)
         return graph
 
-    return {
+    return options(rng, seed) | {
         "graph": {0.0: some("abcdef"), rng.uniform(5, 30): some("abcdef"), 40.0: some("abdfg")},
-        "policy": ("random", "most_trusted", "hysteresis")[seed % 3],
-        "goal": rng.uniform(-5.0, 5.0, 3),
-        "seed": seed,
         "sample_time": 0.02,
         "coupling": rng.uniform(0.5, 3.0),
         "lead_gain": rng.uniform(0.5, 3.0),
         "force_gain": rng.uniform(0.3, 2.0),
-        "filters": FILTERS[seed % 3],
     }
 
 

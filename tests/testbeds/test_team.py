@@ -29,17 +29,6 @@ SOUND = (TeamRobot(),) * 3
 DEAF = TeamRobot(loss=1.0), *SOUND
 
 
-def test_a_figure_of_a_run_shows_its_transients_and_no_legend_over_curves():
-    axes = simulate_team(CHAIN, duration=20.0).plot()
-    axes[0].figure.canvas.draw()
-    legends = [(axis, axis.get_legend()) for axis in axes if axis.get_legend()]
-    assert len(legends) == 2
-    for axis, legend in legends:
-        assert legend.get_window_extent().x0 >= axis.get_window_extent().x1
-    starts, ends = (axes[3].transData.transform((t, 0.0))[0] for t in (0.0, 2.0))
-    assert ends - starts > 0.25 * axes[3].get_window_extent().width  # of 20 s these are a tenth
-
-
 def test_on_a_directed_graph_a_spanning_tree_is_enough():
     graph = nx.DiGraph([(1, 0), (2, 1), (3, 2), (3, 0)])  # robot 0 sees nobody and is seen by all
     run = simulate_team(graph, GivenSequence([0], times=[0.0]), seed=1, duration=300.0)

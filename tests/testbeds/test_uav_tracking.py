@@ -116,45 +116,26 @@ def test_with_a_constant_delay_a_second_integrator_agrees_to_first_order():
     assert errors[0] / errors[-1] == pytest.approx(10.0, rel=0.3)
 
 
-def assert_robot_port_gives_one_sample_at_most(data):
-    """Theorem 4."""
-    assert data["energy_robot"].min() >= 0.01 * power(data, "r_s", "f_s").min() - 1e-12
-
-
-@each_study
+@pytest.mark.slow
 @each_guidance
 @each_scheme
-def test_every_port_balances_and_no_block_gives_energy_away(scheme, guidance, study):
+@pytest.mark.parametrize("seeds", [8, pytest.param(200, marks=pytest.mark.long)])
+def test_stored_energy_is_bounded_under_bounded_force(scheme, guidance, seeds):
+    """
+    The hand is a passive spring, pushed by at most 4 N: what is stored is bounded by what it can
+    hold, not by time; and at the robot's port Theorem 4 holds to a sample.
+    """
     guard = ("repay", "cancel")[guidance == "through_channel"]
-    data = simulate_teleoperation(
-        scheme, None, study, seed=1, duration=60.0, guidance=Guidance(guidance, guard)
-    ).data
-    assert_device_balances(data)
-    exchanged = 0.01 * sum(
-        np.abs(columns(data, velocity) * columns(data, force)).sum(axis=1).cumsum()
-        for velocity, force in (("r_m", "f_m"), ("r_s", "f_s"))
-    )
-    assert (data["energy_channel"] >= -1e-9 * exchanged).all()
-    assert_robot_port_gives_one_sample_at_most(data)
-
-
-@pytest.mark.slow
-@each_scheme
-@pytest.mark.parametrize("seeds", [16, pytest.param(200, marks=pytest.mark.long)])
-def test_stored_energy_is_bounded_under_bounded_force(scheme, seeds):
-    # the hand as a passive spring, pushed by at most 4 N: what is stored is bounded by what it can
-    # hold, not by time
     for seed in range(seeds):
-        study = ("preliminary", "main")[seed % 2]
-        rng = np.random.default_rng([44, seed])
+        name = ("preliminary", "main")[seed % 2]
+        study, rng = STUDIES[name], np.random.default_rng([44, seed])
         force = 4.0 * np.sign(np.repeat(rng.normal(size=(40, 3)), 150, axis=0))
-        data = simulate_teleoperation(
-            scheme, STILL, study, seed=seed, duration=60.0, signals={"push": force / np.sqrt(3.0)}
-        ).data
-        settings = STUDIES[study]
-        spring = settings.stiffness + settings.weight * settings.damping
-        assert data["energy_device"].max() < 3.0 * spring * (4.0 / settings.stiffness) ** 2
-        assert_robot_port_gives_one_sample_at_most(data)
+        options = {"guidance": Guidance(guidance, guard), "signals": {"push": force / np.sqrt(3.0)}}
+        run = simulate_teleoperation(scheme, STILL, name, seed=seed, duration=60.0, **options)
+        spring = study.stiffness + study.weight * study.damping
+        assert run["energy_device"].max() < 3.0 * spring * (4.0 / study.stiffness) ** 2
+        assert run["energy_robot"].min() >= 0.01 * power(run, "r_s", "f_s").min() - 1e-12
+        assert_device_balances(run)
 
 
 def tracking(scheme, study, **more):
