@@ -40,6 +40,11 @@ def columns(run, stem):
     return np.column_stack([run[f"{stem}_{axis}"] for axis in "xyz"])
 
 
+def missed(run):
+    """From the robot to its target."""
+    return columns(run, "reference") - columns(run, "robot")
+
+
 def power(run, velocity, force):
     return (columns(run, velocity) * columns(run, force)).sum(axis=1)
 

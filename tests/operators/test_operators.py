@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import trustlab as tl
 from tests.cases import flight, refused
-from tests.loops import columns
+from tests.loops import columns, missed
 from trustlab import TeleoperationLoop, Teleoperator, TrackingTask, simulate_teleoperation
 from trustlab.operators import operator, simulated_answers
 from trustlab.operators.answers import agreeing, experience
@@ -88,7 +88,7 @@ def test_the_eye_sees_late_and_a_target_that_leaves_the_picture_is_lost_to_eye_a
     signals = {"push": np.full((1500, 3), 2.0)}
     loop = TeleoperationLoop("MI", seed=4, duration=15.0, task=task, signals=signals)
     states, run = stepped(loop, 1500), loop.session
-    error = (columns(run, "reference") - columns(run, "robot"))[:, :2]
+    error = missed(run)[:, :2]
     inside = (np.abs(error) <= 0.1).all(axis=1)
     assert 100 < inside.sum() < 1400, inside.sum()
     for k in range(36, 1500, 7):
@@ -127,7 +127,7 @@ def test_who_adapts_keeps_the_crossover(alpha):
         laws = {"law": law, "crossover": 0.8, "proportional": 0.8, "derivative": 0.0}
         run = simulate_teleoperation("M", Teleoperator(**laws, noise=0.0, reach=5.0), **same)
         # what is seen is the error, late by 35 samples
-        error = (columns(run, "reference") - columns(run, "robot"))[5965:-35, :2]
+        error = missed(run)[5965:-35, :2]
         told = columns(run, "r_s")[6000:, :2]
         gains[law] = np.sqrt(np.mean(told**2) / np.mean(error**2))
     assert gains["crossover"] == pytest.approx(0.8, rel=0.15)  # less what lag and device take

@@ -93,6 +93,7 @@ def test_waves_are_those_of_3_13_and_4_7():
     for seed in range(50):
         arguments = random_channel(seed)
         run, leaders = channel_run(**arguments), arguments["leaders"]
+        assert_allclose(run.t, TIMES)
         b, a_low, a_high, b_low, b_high = (
             np.array([getattr(end, name) for end in arguments["scattering"]])[leaders][:, None]
             for name in ("b", "alpha_min", "alpha_max", "beta_min", "beta_max")

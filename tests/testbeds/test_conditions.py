@@ -97,6 +97,11 @@ def test_run_condition_as_typed(operators, condition):
     assert run.thresholds == thresholds
 
 
+def test_a_run_that_ends_before_anybody_may_switch_is_warned_of():
+    with pytest.warns(UserWarning, match="no run lasts longer than 92 s"):
+        run_condition("C1", 2, laps=1)
+
+
 # Rules of one's own
 
 

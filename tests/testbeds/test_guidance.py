@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import trustlab as tl
-from tests.loops import T, columns, each_guidance, jitter, power
+from tests.loops import T, columns, each_guidance, jitter, missed, power
 from trustlab import Teleoperator, TrackingTask, simulate_teleoperation
 from trustlab.teleoperation import STUDIES, DivergenceError, Guidance, GuidanceBudget
 
@@ -158,7 +158,7 @@ def test_no_force_towards_a_target_that_nobody_sees(view):
     )
     run = simulate_teleoperation("M", IDLE, seed=1, duration=30.0, task=task, guidance=spring)
     late = round(task.camera_delay / T)
-    error = (columns(run, "reference") - columns(run, "robot"))[:-late]
+    error = missed(run)[:-late]
     seen = (np.abs(error[:, :2]) <= view).all(axis=1)
     asked = np.array(asked)[-len(run) :]
     assert not asked[:late].any()

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import trustlab as tl
 from tests.cases import refused
-from tests.loops import T, assert_device_balances, columns, each_guidance, power
+from tests.loops import T, assert_device_balances, columns, each_guidance, missed, power
 from trustlab import Scheme, TeleoperationLoop, Teleoperator, TrackingTask, simulate_teleoperation
 from trustlab.teleoperation import (
     SCHEMES,
@@ -94,7 +94,6 @@ def test_a_run_is_repeated_from_its_decisions_without_functions_or_hands(guidanc
 @pytest.mark.parametrize("scheme", ["OMI", Scheme("mine", tmig)])
 def test_what_is_given_is_what_functions_decide_by(scheme):
     """Oracle: a run in which functions say the same, and a scheme's rule on the logged trust."""
-    count = round(SHORT / T)
     task = TrackingTask(autonomy=lambda state: np.full(3, 0.7))
     parts = {"task": task, "trust": lambda state: (0.2, 0.8)}
     said = simulate_teleoperation(scheme, duration=SHORT, **parts)
@@ -102,8 +101,8 @@ def test_what_is_given_is_what_functions_decide_by(scheme):
     assert [np.max(signal[1:]) for signal in given.values()] == [0.7, 0.2, 0.8]
     run = simulate_teleoperation(scheme, signals=given, duration=SHORT)
     assert run.data.equals(said.data)
-    first = {"trust_hr": np.full(count, np.nan)} | {"robot": np.full((count, 3), np.nan)}
-    first["trust_hr"][0], first["robot"][:] = 0.1, (5.0, 0.0, 1.0)
+    first = {"trust_hr": np.full(800, np.nan), "robot": np.tile([5.0, 0.0, 1.0], (800, 1))}
+    first["trust_hr"][0] = 0.1
     seen = []
     watching = Scheme("watching", lambda s: seen.append((s.path_error, *s.robot)) or tmig(s))
     run = simulate_teleoperation(watching, signals=first, duration=SHORT)
@@ -172,8 +171,7 @@ def test_a_run_with_a_vehicle_is_guided_by_where_it_is(guidance):
     moved = np.diff(columns(run, "robot"), axis=0)
     assert_allclose(moved, T * columns(run, "velocity")[1:], atol=1e-14)
     if guidance == "through_channel":
-        error = columns(run, "reference") - columns(run, "robot")
-        assert_allclose(columns(run, "f_s"), -6.0 * error, atol=1e-12)
+        assert_allclose(columns(run, "f_s"), -6.0 * missed(run), atol=1e-12)
 
 
 @each_guidance
@@ -246,6 +244,7 @@ def guided(force):
         (flying(lambda s: (np.nan * s.robot, s.velocity)), "vehicle .* returned robot = .*nan"),
         ({"trust": lambda s: (0.5, -5)}, r"trust_rh = -5; it must lie in \[0, 1\]"),
         ({"trust": lambda s: 0.5}, "trust .* returned 0.5; trust_hr and trust_rh are wanted"),
+        (flying(lambda s: [s.robot]), r"returned \[array.*; robot and velocity are wanted"),
         # the state that guards rely on
         (guided(lambda s: setattr(s, "energy_port", 100.0)), "energy_port is read only"),
         (guided(lambda s: s.r_m.fill(0.0)), "read-only"),
@@ -349,7 +348,7 @@ def test_measures_are_those_of_the_log(runs):
     assert table["scheme"].tolist() == ["TMIG", "OMI"]
     assert table.attrs["origin"] == "simulated operators"
     run = runs[0]
-    error = np.linalg.norm(columns(run, "reference") - columns(run, "robot"), axis=1)
+    error = np.linalg.norm(missed(run), axis=1)
     expected = {
         "tracking_error": error.mean(),
         "worst_error": error.max(),

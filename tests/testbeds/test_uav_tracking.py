@@ -21,14 +21,15 @@ from trustlab import (
 from trustlab.models.trust import LogisticScaling, StepScaling
 from trustlab.teleoperation import SCHEMES, STUDIES, DivergenceError, Guidance
 from trustlab.teleoperation.loop.settings import vehicle_matrices
-from trustlab.testbeds.uav_tracking import TASKS, tracking_vehicle
+from trustlab.testbeds.uav_tracking import TASKS
 
 MAIN = STUDIES["main"]
 UNIT = replace(MAIN, scattering=Scattering(2.0, 0.4, 1.0, 0.2, 0.8), k_ffa=3.0)
 STILL = Teleoperator(proportional=0.0, derivative=0.0, noise=0.0)
 TASK = TrackingTask(failure_every=1e9)
 DELAY, STEP = 0.1, 0.001  # of the second integrator [s]
-VEHICLE = tracking_vehicle()
+# both poles at −4/s
+VEHICLE = (TransferFunction(16.0, (8.0, 16.0)),) * 2 + (TransferFunction(4.0, (4.0,)),)
 
 
 each_scheme = pytest.mark.parametrize("scheme", SCHEMES)
