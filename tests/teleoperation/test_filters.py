@@ -80,15 +80,17 @@ def test_less_than_a_quarter_generates(product):
 
 
 def test_signals_and_storage_of_one_sample():
-    """Oracle: the midpoint rule by hand; storage (k_21 ‖a‖² + k_12 ‖c‖²)/ω_c."""
-    two_port = corrected_filter(3.0, 2.0)
-    run = two_port.run([[1.0, 0.0]], [[0.0, 2.0]], T)
+    """
+    Oracle: the midpoint rule by hand; storage (k_21 ‖a‖² + k_12 ‖c‖²)/ω_c with k_21 = 1 and
+    k_12 = ¼.
+    """
+    run = corrected_filter(3.0, 2.0).run([[1.0, 0.0]], [[0.0, 2.0]], T)
     g = 0.5 * T * 3.0
     a, c = np.array([[1.0, 0.0], [0.0, 2.0]]) * 2.0 * g / (1.0 + g)
-    stored = (two_port.k21 * a @ a + two_port.k12 * c @ c) / 3.0
+    stored = (a @ a + 0.25 * c @ c) / 3.0
     assert run.storage[0] == pytest.approx(stored, rel=1e-12)
-    assert_allclose(run.y_1[0], 0.5 * a - two_port.k12 * np.array([0.0, 2.0]))
-    assert_allclose(run.y_2[0], two_port.k21 * np.array([1.0, 0.0]) + 0.5 * c)
+    assert_allclose(run.y_1[0], 0.5 * a - [0.0, 0.5])
+    assert_allclose(run.y_2[0], 0.5 * c + [1.0, 0.0])
 
 
 # --- transparency ---------------------------------------------------------------------------------

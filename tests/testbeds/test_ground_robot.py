@@ -17,7 +17,7 @@ from tests.cases import distance
 from trustlab.operators import operator
 from trustlab.testbeds import Course, Pioneer, identification_session
 from trustlab.testbeds.ground_robot.conditions import drive_modes
-from trustlab.testbeds.ground_robot.course import HALF_WIDTH, RESOLUTION
+from trustlab.testbeds.ground_robot.course import HALF_WIDTH, RESOLUTION, course_numbers
 from trustlab.testbeds.ground_robot.kernel import locate
 
 
@@ -109,6 +109,8 @@ def test_the_course_is_the_rounded_polygon():
     direction = np.unwrap(np.arctan2(*np.diff(path[:, :2], axis=0).T[::-1]))
     assert np.abs(np.diff(direction)).max() < 1.1 * RESOLUTION / course.radius
     assert_allclose(distance(course, *course.posts.T), HALF_WIDTH, atol=0.01)
+    for ours, drawn in zip(course.numbers, course_numbers(path, course.posts), strict=True):
+        assert_allclose(drawn, ours, atol=1e-9)
 
 
 WEAK = Pioneer(

@@ -95,6 +95,14 @@ REFUSED = [
     (lambda: simulate_team(PATH, delay=0.5, min_dwell=0.2), "must be greater than the delay"),
     (lambda: run_condition("C5", 2, thresholds=(0.1, 0.6)), "no effect in C5, where"),
     (lambda: run_condition("C3"), "who drives"),
+    (
+        lambda: tl.Operator("me", tl.HumanModel(0.999, 0.7, 0.4, 1.2)),
+        "between 0.1 and 1, but human has p_min = 0.4 and p_max = 1.2",
+    ),
+    (
+        lambda: tl.testbeds.Course(((0, 0), (4, 0), (4, 4), (0, 4)), radius=2.5),
+        "corner 0 is 4 m long, but its bends of radius 2.5 m take 5 m",
+    ),
     (lambda: run_condition("C3", 21, testbed="uav_following"), "from 1 to 20, got 21"),
     (lambda: run_condition("C3", driver()), "model must be of class TscModel"),
 ]
