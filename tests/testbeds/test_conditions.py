@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from threading import Lock
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,70 +22,55 @@ from trustlab.testbeds.uav_following import DURATION, E_MAX, U_MAX
 
 
 FLIGHT = {"measure": "uav_tracking", "e_max": E_MAX, "u_max": U_MAX, "axes": "xy"}
-BEDS = {
-    "ground_robot": SimpleNamespace(measure={}, low=0.28, high=0.32, first=1),
-    "uav_following": SimpleNamespace(measure=FLIGHT, low=0.45, high=0.52, first=0),
-}
+# How performance is measured, and at which performances a rule switches, beginning in which mode.
+BEDS = {"ground_robot": ({}, 0.28, 0.32, 1), "uav_following": (FLIGHT, 0.45, 0.52, 0)}
+each_bed = pytest.mark.parametrize("bed", BEDS)
+each_condition = pytest.mark.parametrize("condition", CONDITIONS)
 
 
-@pytest.fixture(scope="module", params=BEDS)
-def bed(request):
-    """A testbed with a run of each condition."""
-    name = request.param
-    runs = {c: run_condition(c, participant=2, testbed=name, seed=0) for c in CONDITIONS}
-    return SimpleNamespace(name=name, runs=runs, **vars(BEDS[name]))
+@each_bed
+@each_condition
+def test_log_suggestions_and_measures_agree_with_models_and_rules(bed, condition):
+    run = run_condition(condition, participant=2, testbed=bed, seed=0)
+    session, model, measures = run.session, run.model, run.measures
+    assert session.metadata.synthetic
+    used = model.human.simulate(session["mode"])[0]
+    assert_allclose(session["r"], used, atol=1e-12)
+    again = session.with_performance(window=100.0, **BEDS[bed][0])
+    for name in ("p_r", "p_h"):
+        assert_allclose(session[name], again[name], atol=1e-11)
+    tsc = model.value(session["p_r"], session["p_h"])
+    assert_allclose(session["tsc"], tsc, atol=1e-12)
+    apart = [session[f"reference_{axis}"] - session[f"robot_{axis}"] for axis in "xy"]
+    assert_allclose(session["path_error"], np.hypot(*apart), atol=1e-12)
 
+    algorithm, forced = CONDITIONS[condition]
+    expected, now = np.full(len(session), -1.0), 1
+    for k in np.flatnonzero(session.t >= SETTLING):
+        if algorithm == 2:
+            expected[k] = now = threshold_mode(session["tsc"][k], *run.thresholds, now)
+        elif algorithm == 3:
+            bounds = model.robot.p_min, model.robot.p_max
+            expected[k] = performance_suggestion(session["p_r"][k], *bounds)
+    assert_array_equal(session["suggested_mode"], expected)
+    if bed == "ground_robot" and condition != "C1":
+        assert {0.0, 1.0} <= set(expected)
+    if forced:
+        assert set(run.suggestions()["state"]) <= {"followed", "open", "withdrawn"}
 
-def test_the_log_agrees_with_models_and_measures(bed):
-    for run in bed.runs.values():
-        session, model = run.session, run.model
-        used = model.human.simulate(session["mode"])[0]
-        assert_allclose(session["r"], used, atol=1e-12)
-        again = session.with_performance(window=100.0, **bed.measure)
-        for name in ("p_r", "p_h"):
-            assert_allclose(session[name], again[name], atol=1e-11)
-        tsc = model.value(session["p_r"], session["p_h"])
-        assert_allclose(session["tsc"], tsc, atol=1e-12)
-        apart = [session[f"reference_{axis}"] - session[f"robot_{axis}"] for axis in "xy"]
-        assert_allclose(session["path_error"], np.hypot(*apart), atol=1e-12)
-        assert session.metadata.synthetic
-
-
-def test_suggestions_are_those_of_the_rules(bed):
-    for name, (algorithm, forced) in CONDITIONS.items():
-        run = bed.runs[name]
-        after = run.session.t >= SETTLING
-        shown, robot = run.session["suggested_mode"], run.model.robot
-        assert (shown[~after] == -1.0).all()
-        expected, now = np.full(after.sum(), -1.0), 1
-        for k, (tsc, p_r) in enumerate(run.session.data[["tsc", "p_r"]][after].to_numpy()):
-            if algorithm == 2:
-                expected[k] = now = threshold_mode(tsc, *run.thresholds, now)
-            elif algorithm == 3:
-                expected[k] = performance_suggestion(p_r, robot.p_min, robot.p_max)
-        assert_array_equal(shown[after], expected)
-        if bed.name == "ground_robot" and name != "C1":
-            assert {0.0, 1.0} <= set(expected)
-        if forced:
-            assert set(run.suggestions()["state"]) <= {"followed", "open", "withdrawn"}
-
-
-def test_measures(bed):
-    for name, run in bed.runs.items():
-        session, measures = run.session, run.measures
-        assert measures["p_r"] == session["p_r"].mean()
-        assert measures["switches"] == np.abs(np.diff(session["mode"])).sum()
-        assert np.isnan(measures["followed_percent"]) == (name == "C1")
-        if bed.name == "uav_following":
-            assert len(session) == 10 * DURATION
-            continue
+    assert measures["p_r"] == session["p_r"].mean()
+    assert measures["switches"] == np.abs(np.diff(session["mode"])).sum()
+    assert np.isnan(measures["followed_percent"]) == (condition == "C1")
+    if bed == "uav_following":
+        assert len(session) == 10 * DURATION
+    else:
         laps = np.diff(run.lap_times, prepend=0.0)
         assert measures["laps"] == laps.size == 8
         assert measures["duration"] == pytest.approx(run.lap_times[-1])
         assert measures["lap_time"] == pytest.approx(laps.mean())
 
 
-@pytest.mark.parametrize("condition", CONDITIONS)
+@each_condition
 def test_run_condition_as_typed(operators, condition):
     thresholds = printed_person("2")[2] if condition in ("C2", "C3") else None
     run, named, typed = (
@@ -116,15 +100,17 @@ class Relay:
         return 1 if p_r < self.low else 0 if p_r > self.high else None
 
 
+@each_bed
 def test_a_rule_decides_from_what_is_measured(bed):
-    rule = Relay(bed.low, bed.high, bed.first)
-    run = run_condition(rule=rule, participant=2, testbed=bed.name, seed=3)
-    log, now = run.session, bed.first
+    _, low, high, first = BEDS[bed]
+    rule = Relay(low, high, first)
+    run = run_condition(rule=rule, participant=2, testbed=bed, seed=3)
+    log, now = run.session, first
     decides = log.t > SETTLING - 0.05
     modes = []
     for p_r, decided in zip(log["p_r"], decides, strict=True):
         if decided:
-            now = 1 if p_r < bed.low else 0 if p_r > bed.high else now
+            now = 1 if p_r < low else 0 if p_r > high else now
         modes.append(now)
     assert_array_equal(log["mode"], modes)
     assert Relay.last.calls == decides.sum()
@@ -132,7 +118,7 @@ def test_a_rule_decides_from_what_is_measured(bed):
     assert np.count_nonzero(np.diff(modes)) >= 2
     assert log.metadata.condition == "rule Relay"
     assert run.measures["followed_percent"] == 100.0
-    if bed.name == "ground_robot":  # these modes, driven as given, give the same log
+    if bed == "ground_robot":  # these modes, driven as given, give the same log
         again = drive_modes(np.array(modes), published_operator(2), seed=3)
         for name in ("p_r", "p_h", "r", "path_error", "robot_x", "yaw"):
             assert_array_equal(again[name], log[name])

@@ -332,25 +332,23 @@ def test_free_team_meets_at_a_point_of_its_own(filters):
     ∫ f_s dτ = ζ_i(0) − mean ζ(0) = 0, and ∫ r_s dτ is a multiple of it; Σ q grows by ∫ r_s dτ.
     """
     rng = default_rng(9)
-    for goal in ((1, 2, 0.5), (9, -9, 3)):
-        graph = random_graph(rng, int(rng.integers(2, 9)))
-        start = rng.uniform(-5.0, 5.0, (len(graph), 3))
-        run = simulate_team(
-            graph,
-            GivenSequence([0]),
-            goal,
-            operator=ALONE,
-            sample_time=0.02,
-            duration=400.0,
-            start=start,
-            delay=0.4,
-            scattering=Scattering(2.0),
-            filters=filters,
-        )
-        assert run.synchronised
-        assert not run.converged
-        meeting = np.broadcast_to(start.mean(axis=0), start.shape)
-        assert_allclose(run.positions[-1], meeting, atol=1e-8)
+    graph = random_graph(rng, 7)
+    start = rng.uniform(-5.0, 5.0, (7, 3))
+    run = simulate_team(
+        graph,
+        GivenSequence([0]),
+        (9, -9, 3),
+        operator=ALONE,
+        sample_time=0.02,
+        duration=400.0,
+        start=start,
+        delay=0.4,
+        scattering=Scattering(2.0),
+        filters=filters,
+    )
+    assert run.synchronised
+    assert not run.converged
+    assert_allclose(run.positions[-1] - start.mean(axis=0), 0.0, atol=1e-8)
 
 
 # Guards removed
@@ -414,24 +412,6 @@ def test_active_operator():
     assert passive.operator_passive
     assert passive.data["push"].min() < 1.0
     assert passive.distances[-1].max() < 0.01 < active.distances[-1].max()
-
-
-def test_a_run_is_repeated_from_its_inputs_without_python():
-    """Packets that get lost and robots that drift included; another leader makes another run."""
-    robots = (TeamRobot(), TeamRobot(speed=0.4), TeamRobot(loss=0.5), TeamRobot(drift=0.05))
-    arguments = {"seed": 3, "duration": 20.0, "robots": robots, "performance": "motion"}
-    graphs = {0.0: nx.cycle_graph(4), 8.0: CHAIN}
-    loops = [team_loop(graphs, "random", **arguments) for _ in range(3)]
-    assert len(loops[0].run().switches) > 0
-    first, again, other = (loop.simulation for loop in loops)
-    again.inputs[:] = other.inputs[:] = first.inputs
-    other.inputs["lead"] = 0
-    for simulation in (again, other):
-        simulation.decide = None
-        simulation.advance(len(simulation.inputs))
-    assert_array_equal(again.log.table, first.log.table)
-    assert_array_equal(again.log.places, first.log.places)
-    assert (other.log.places != first.log.places).any()
 
 
 def test_robots_are_numbered_as_they_count_however_edges_are_listed():

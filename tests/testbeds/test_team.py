@@ -59,22 +59,6 @@ def test_drift_is_a_source():
     assert np.diff(run.data["v_t"]).max() > 1e-6
 
 
-@pytest.mark.parametrize("policy", ["most_trusted", "random"])
-def test_stepped_as_run(policy):
-    """Bit for bit, also in part stepped and in part run."""
-    options = {"graph": {0.0: RING, 4.0: CHAIN}, "policy": policy, "seed": 3, "robots": DEAF}
-    options |= {"duration": 12.0, "performance": "motion"}
-    loop, whole = team_loop(**options), simulate_team(**options)
-    while loop.t < 7.0 - 1e-9:
-        loop.step()
-    assert loop.run(until=9.0).data.equals(whole.data[:9.0].iloc[:900])
-    run = loop.run()
-    assert run.data.equals(whole.data)
-    assert_array_equal(run.positions, whole.positions)
-    assert_array_equal(run.trust, whole.trust)
-    assert run.facts == whole.facts
-
-
 def test_a_wish_waits_for_the_dwell_time():
     loop = team_loop(CHAIN, duration=20.0)
     first = loop.step(leader=2)

@@ -139,20 +139,6 @@ def test_stored_energy_is_bounded_under_bounded_force(scheme, guidance, seeds):
         assert_device_balances(run)
 
 
-def tracking(scheme, study, **more):
-    """Mean error of twelve flights [m]."""
-    runs = [simulate_teleoperation(scheme, study=study, seed=s, **more) for s in range(12)]
-    return np.mean([run["path_error"].mean() for run in runs])
-
-
-@each_study
-def test_which_scheme_tracks_better_depends_on_the_printed_guidance_in_one_study(study):
-    printed = {"guidance": Guidance("through_channel", "cancel")}
-    assert tracking("TMIG", study, **printed) < tracking("M", study, **printed)
-    better = tracking("TMIG", study) < tracking("M", study)
-    assert better == (study == "main")  # with the robot left to the operator
-
-
 @pytest.mark.parametrize(
     "arguments",
     [
