@@ -15,7 +15,6 @@ from tests.loops import simulate_team
 from trustlab import TrackingTask, channel_run, run_condition
 from trustlab.teleoperation import (
     STUDIES,
-    Delay,
     GivenSequence,
     Guidance,
     GuidanceBudget,
@@ -41,10 +40,7 @@ def late_from(start):
 REFUSED = [
     (lambda: tl.Scattering(1.0, alpha_min=0.9, alpha_max=0.3), "must not exceed alpha_max"),
     (lambda: channel_run(ONES, ONES, tl.Scattering(1.0), 0.01, alpha=1.5), "alpha must lie in"),
-    (
-        lambda: Delay(lambda t: 0.1 - t, 0.1, "this delay").samples(50, 0.01),
-        r"0 s at t = 0\.1 s: it must be at least one sample",
-    ),
+    (lambda: fly(delay=lambda t: 0.1 + 0.9 * t), "grows faster than max_rate = 0.5"),
     (lambda: packet_delay([0.0, 0.1], [0.1, 0.05]).samples(7, 0.1), "packet 1, sent at t = 0.1"),
     (lambda: TwoPortFilter(1.0, 0.2, 1.0), r"k_12 k_21 = 0\.2"),
     (lambda: passivity_margin([1.0], [1.0, -1.0]), "stable"),
@@ -64,7 +60,6 @@ REFUSED = [
         "three TransferFunction",
     ),
     (lambda: TrackingTask(vehicle=(UNIT, NONE[:, :2], UNIT)), "vehicle must be matrices"),
-    (lambda: TrackingTask(vehicle=(np.nan * UNIT, NONE, UNIT)), "vehicle must be finite"),
     (lambda: TrackingTask(autonomy=np.copy, reach=1.0), "reach would do nothing beside a con"),
     (
         lambda: tl.Teleoperator(law=np.copy, adaptation=0.9),
