@@ -60,6 +60,7 @@ REFUSED = [
         "three TransferFunction",
     ),
     (lambda: TrackingTask(vehicle=(UNIT, NONE[:, :2], UNIT)), "vehicle must be matrices"),
+    (lambda: TrackingTask(vehicle=(np.nan * UNIT, NONE, UNIT)), "vehicle must be finite"),
     (lambda: TrackingTask(autonomy=np.copy, reach=1.0), "reach would do nothing beside a con"),
     (
         lambda: tl.Teleoperator(law=np.copy, adaptation=0.9),
