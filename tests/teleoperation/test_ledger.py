@@ -19,6 +19,7 @@ from trustlab.teleoperation.ports.waves import (
     EnergyLedger,
     Scattering,
     accounts,
+    dot,
     read_wave,
 )
 
@@ -51,6 +52,10 @@ def packet_amplitude(late):
             ledger.receive(int(number), [1.0])
         sizes.append(ledger.read().sum())
     return np.mean(sizes[N // 2 :])
+
+
+def test_power_is_a_product_on_all_axes():
+    assert dot.py_func((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)) == 32.0
 
 
 @pytest.mark.parametrize("most", [3, 8, 30, 60])
