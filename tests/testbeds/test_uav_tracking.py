@@ -120,7 +120,7 @@ def test_with_a_constant_delay_a_second_integrator_agrees_to_first_order():
 @pytest.mark.slow
 @each_guidance
 @each_scheme
-@pytest.mark.parametrize("seeds", [8, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seeds", [8, pytest.param(100, marks=pytest.mark.long)])
 def test_stored_energy_is_bounded_under_bounded_force(scheme, guidance, seeds):
     """
     The hand is a passive spring, pushed by at most 4 N: what is stored is bounded by what it can
