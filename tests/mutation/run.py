@@ -69,8 +69,11 @@ NOTICED_BY = {
     "operators/test_operators.py": "operators/*",
     "testbeds/test_conditions.py": "testbeds/condition_run testbeds/deciding testbeds/populations "
     "testbeds/testbed testbeds/uav_following allocation/estimates",
+    "testbeds/test_deciding.py": "testbeds/ground_robot/conditions",
     "testbeds/test_ground_robot.py": "testbeds/ground_robot/*",
     "testbeds/test_guidance.py": "testbeds/teleoperation_measures",
+    "testbeds/test_refusals.py": "operators/ground_robot teleoperation/delays "
+    "teleoperation/team/graphs testbeds/ground_robot/course",
     "testbeds/test_robot_team.py": "teleoperation/team/graphs teleoperation/team/kernel "
     "teleoperation/team/settings testbeds/team_run",
     "testbeds/test_team.py": "teleoperation/team/settings testbeds/team_run testbeds/team_testbed",

@@ -6,10 +6,10 @@ Oracles: python-control; the channel written out as transfer functions.
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
+from numpy.testing import assert_allclose
 
 from tests.loops import random_signals
-from trustlab.teleoperation import STUDIES
 from trustlab.teleoperation.filters import (
     TwoPortFilter,
     corrected_filter,
@@ -29,16 +29,7 @@ def signals(seed, count=2000):
     return random_signals(np.random.default_rng([71, seed]), T * np.arange(count), fastest=3.0)
 
 
-@given(st.floats(1e-3, 1e4))
-@settings(max_examples=40)
-def test_one_pole_needs_a_quarter(cutoff):
-    margin = passivity_margin([cutoff], [1.0, cutoff])
-    assert margin.least_product == pytest.approx(0.25, rel=1e-12)
-    assert margin.frequency == pytest.approx(cutoff, rel=1e-6)
-
-
 @given(st.integers(0, 10_000))
-@settings(max_examples=60)
 def test_margin_against_a_grid_of_frequencies(seed):
     """Oracle: (Im H)² on a dense grid."""
     rng = np.random.default_rng([72, seed])
@@ -51,13 +42,13 @@ def test_margin_against_a_grid_of_frequencies(seed):
     top = rng.normal(size=int(rng.integers(1, order + 2)))
     found = passivity_margin(top, bottom)
     # A pole near the axis makes a narrow peak: the grid is fine there too.
-    near = [w * (1.0 + np.linspace(-0.01, 0.01, 20_001)) for w in np.abs(poles)]
+    near = [w * (1.0 + np.linspace(-0.3, 0.3, 20_001)) for w in np.abs(poles)]
     omega = np.concatenate([[0.0], np.logspace(-4, 4, 80_001), *near])
     response = np.polyval(top, 1j * omega) / np.polyval(bottom, 1j * omega)
-    assert found.least_product == pytest.approx(
-        float((response.imag**2).max()), rel=1e-5, abs=1e-14
-    )
-    assert found.least_product >= (response.imag**2).max() * (1 - 1e-9)
+    heights = response.imag**2
+    assert found.least_product == pytest.approx(heights.max(), rel=1e-5, abs=1e-14)
+    assert found.least_product >= heights.max() * (1 - 1e-9)
+    assert found.frequency == pytest.approx(omega[heights.argmax()], rel=1e-3)
 
 
 def test_printed_choice_makes_half_a_unit_per_second_for_ever():
@@ -70,7 +61,6 @@ def test_printed_choice_makes_half_a_unit_per_second_for_ever():
 
 
 @given(st.integers(0, 10_000), st.floats(0.25, 2.0), st.floats(-2.0, 2.0), st.floats(-1.0, 3.0))
-@settings(max_examples=100)
 def test_corrected_filter_never_generates(seed, product, impedance, cutoff):
     root = np.sqrt(product)
     two_port = TwoPortFilter(10**cutoff, root / 10**impedance, root * 10**impedance)
@@ -90,15 +80,17 @@ def test_less_than_a_quarter_generates(product):
 
 
 def test_signals_and_storage_of_one_sample():
-    """Oracle: the midpoint rule by hand; storage (k_21 ‖a‖² + k_12 ‖c‖²)/ω_c."""
-    two_port = corrected_filter(3.0, 2.0)
-    run = two_port.run([[1.0, 0.0]], [[0.0, 2.0]], T)
+    """
+    Oracle: the midpoint rule by hand; storage (k_21 ‖a‖² + k_12 ‖c‖²)/ω_c with k_21 = 1 and
+    k_12 = ¼.
+    """
+    run = corrected_filter(3.0, 2.0).run([[1.0, 0.0]], [[0.0, 2.0]], T)
     g = 0.5 * T * 3.0
     a, c = np.array([[1.0, 0.0], [0.0, 2.0]]) * 2.0 * g / (1.0 + g)
-    stored = (two_port.k21 * a @ a + two_port.k12 * c @ c) / 3.0
+    stored = (a @ a + 0.25 * c @ c) / 3.0
     assert run.storage[0] == pytest.approx(stored, rel=1e-12)
-    np.testing.assert_allclose(run.y_1[0], 0.5 * a - two_port.k12 * np.array([0.0, 2.0]))
-    np.testing.assert_allclose(run.y_2[0], two_port.k21 * np.array([1.0, 0.0]) + 0.5 * c)
+    assert_allclose(run.y_1[0], 0.5 * a - [0.0, 0.5])
+    assert_allclose(run.y_2[0], 0.5 * c + [1.0, 0.0])
 
 
 # --- transparency ---------------------------------------------------------------------------------
@@ -115,13 +107,3 @@ def test_dominance_is_the_ratio_of_the_coefficients_of_3_22():
     }
     channel = Scattering(b, 0.2, alpha, 0.1, beta)
     assert channel.dominance() == pytest.approx(expected, rel=1e-12)
-
-
-def test_scales_fall_from_their_upper_to_their_lower_bound_as_trust_grows():
-    """Oracle: (3.5) by hand."""
-    ends = STUDIES["main"].scattering
-    lines = {line.get_label(): line for line in STUDIES["main"].plot_scales().lines}
-    trust, scale = lines["β, logistic"].get_data()
-    fall = (ends.beta_max - ends.beta_min) / (1.0 + np.exp(-10.0 * (trust - 0.5)))
-    np.testing.assert_allclose(scale, ends.beta_max - fall, rtol=1e-12)
-    assert set(lines["α, step"].get_ydata()) == {ends.alpha_min, ends.alpha_max}

@@ -5,7 +5,7 @@ to another robot after τ_min.
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
 from trustlab.teleoperation.team.decisions import (
     POLICIES,
@@ -40,7 +40,6 @@ def lead(policy, trust, dwell, step=0.1, seed=0):
     st.floats(0.05, 20.0),
     st.integers(2, 9),
 )
-@settings(max_examples=100)
 def test_leaders_stay_for_the_minimum(seed, name, dwell, robots):
     trust = np.random.default_rng(seed).uniform(size=(400, robots))
     chosen = lead(POLICIES[name], trust, dwell, seed=seed)

@@ -10,22 +10,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy import stats
 
 import trustlab as tl
-from tests.cases import distance
-from trustlab.testbeds import Course, published_operator
+from tests.cases import distance, driver, model
+from trustlab import run_condition
+from trustlab.testbeds import Course
 from trustlab.testbeds.deciding import RANDOM_PHASE, SAMPLE_TIME, SETTLING
 from trustlab.testbeds.ground_robot.course import nearest_point, path_point
-
-MODEL = tl.published_models()["2"]
 
 
 def run(condition, seed=7, laps=4, **assumed):
     """Participant 2 with assumptions, on the ground robot."""
-    who = replace(published_operator(2), **assumed)
+    who = replace(driver(), **assumed)
     thresholds = (0.0, 0.35) if condition in ("C2", "C3") else None
-    return tl.run_condition(condition, who, MODEL, thresholds, laps=laps, seed=seed)
+    return run_condition(condition, who, model(), thresholds, laps=laps, seed=seed)
 
 
 COURSES = [
@@ -50,7 +50,7 @@ def test_the_nearest_point_is_looked_for_around_the_last_one(course):
 def test_a_robot_follows_any_closed_polyline():
     course = Course(((0, 0), (9, 0), (9, 9), (4, 5), (0, 9)), radius=0)
     bed = tl.testbeds.GroundRobot(laps=2, course=course)
-    measures = tl.run_condition("C5", 2, testbed=bed, seed=1).measures
+    measures = run_condition("C5", 2, testbed=bed, seed=1).measures
     assert measures["laps"] == 2
     assert measures["path_error"] < 1.0
 
@@ -59,7 +59,7 @@ def test_attention_costs_while_a_suggestion_stands_that_may_be_declined():
     declined = {"follow_tsc": 0.0, "ignoring_time": 3000.0}
     costly, before = (run("C2", attention_cost=cost, **declined).session for cost in (0.2, 0.0))
     first = int(np.argmax(before["suggested_mode"] == 0.0))
-    np.testing.assert_array_equal(costly["p_h"][: first + 1], before["p_h"][: first + 1])
+    assert_array_equal(costly["p_h"][: first + 1], before["p_h"][: first + 1])
     later = slice(first + 1000, first + 1200)
     assert costly["p_h"][later].mean() / before["p_h"][later].mean() == pytest.approx(0.8, abs=0.05)
 
@@ -68,30 +68,30 @@ def test_bias_shifts_the_thresholds_of_tsc_as_measured():
     exact = {"lower_spread": 0.0, "upper_spread": 0.0, "reaction_lag": 0.0}
     trusting = run("C1", trust_bias=0.1, lower=-0.2, upper=0.5, **exact).session
     shifted = run("C1", lower=-0.3, upper=0.4, **exact).session
-    np.testing.assert_array_equal(trusting["mode"], shifted["mode"])
+    assert_array_equal(trusting["mode"], shifted["mode"])
     assert run("C3", trust_bias=0.1).session == run("C3").session
 
 
 @pytest.mark.parametrize("bed", [{"laps": 3}, {"testbed": "uav_following"}])
 def test_own_is_c3_with_the_thresholds_that_switches_in_c1_show(bed):
-    someone = replace(published_operator(2), trust_bias=0.05)
+    someone = replace(driver(), trust_bias=0.05)
     measured = (someone.lower - 0.05, someone.upper - 0.05)
     own, suggested, costly = (
-        tl.run_condition(condition, who, MODEL, thresholds, seed=3, **bed).session.data
-        for condition, who, thresholds in (
-            ("own", someone, None),
-            ("C3", someone, measured),
-            ("own", replace(someone, attention_cost=0.3), None),
+        run_condition(*who, seed=3, **bed).session.data
+        for who in (
+            ("own", someone, model()),
+            ("C3", someone, model(), measured),
+            ("own", replace(someone, attention_cost=0.3), model()),
         )
     )
-    np.testing.assert_array_equal(own, suggested)
-    np.testing.assert_array_equal(own, costly)
+    assert_array_equal(own, suggested)
+    assert_array_equal(own, costly)
 
 
 def test_random_suggestions_come_at_random_times_and_cost_no_attention():
     at_once = {"laps": 300, "seed": 0, "reaction_lag": 0.0}
     session, costly = (run("random", attention_cost=c, **at_once).session for c in (0.0, 0.3))
-    np.testing.assert_array_equal(session.data, costly.data)
+    assert_array_equal(session.data, costly.data)
     after = session["mode"][session.t >= SETTLING]
     lengths = SAMPLE_TIME * np.diff(np.flatnonzero(np.diff(after)))
     assert lengths.size > 100

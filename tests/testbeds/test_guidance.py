@@ -4,17 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import trustlab as tl
-from tests.loops import T, columns, jitter, power
+from tests.loops import T, columns, each_guidance, jitter, missed, power
+from trustlab import Teleoperator, TrackingTask, simulate_teleoperation
 from trustlab.teleoperation import STUDIES, DivergenceError, Guidance, GuidanceBudget
-from trustlab.teleoperation.loop.kernel import GUIDANCE
-from trustlab.testbeds.uav_tracking import TrackingTask
 
 # --- guidance -------------------------------------------------------------------------------------
 
 
-IDLE = tl.Teleoperator(proportional=0.0, derivative=0.0, noise=0.0, stiffness=0.0, damping=0.0)
+MAIN = STUDIES["main"]
+IDLE = Teleoperator(proportional=0.0, derivative=0.0, noise=0.0, stiffness=0.0, damping=0.0)
 
 
 def switching(state):
@@ -35,30 +36,28 @@ def taken_at_random(guidance, seed, seconds):
     rng, count = np.random.default_rng([5, seed]), round(seconds / T)
     walks, most = rng.integers(1 << 30, size=2), rng.uniform(0.05, 0.8, 2)
     study = STUDIES[("main", "preliminary")[seed % 2]]
-    arguments = {
-        "study": replace(study, k_ffa=study.k_ffa * 10.0 ** rng.uniform(-1.0, 2.0)),
-        "operator": tl.Teleoperator(
-            noise=rng.uniform(0.0, 1.5),
-            stiffness=rng.uniform(0.0, 120.0),
-            damping=rng.uniform(0.0, 5.0),
-            proportional=rng.uniform(0.0, 3.0),
-            reach=2.0,
-        ),
-        "delay": tuple(jitter(int(walk), late) for walk, late in zip(walks, most, strict=True)),
-        "signals": {
-            "arrives": rng.uniform(size=(count, 2)) >= 0.5,
-            "push": rng.normal(size=(count, 3)) * rng.uniform(0.0, 3.0),
-        },
+    study = replace(study, k_ffa=study.k_ffa * 10.0 ** rng.uniform(-1.0, 2.0))
+    who = Teleoperator(
+        noise=rng.uniform(0.0, 1.5),
+        stiffness=rng.uniform(0.0, 120.0),
+        damping=rng.uniform(0.0, 5.0),
+        proportional=rng.uniform(0.0, 3.0),
+        reach=2.0,
+    )
+    delay = tuple(jitter(int(walk), late) for walk, late in zip(walks, most, strict=True))
+    signals = {
+        "arrives": rng.uniform(size=(count, 2)) >= 0.5,
+        "push": rng.normal(size=(count, 3)) * rng.uniform(0.0, 3.0),
     }
+    parts = {"delay": delay, "guidance": guidance, "signals": signals}
     scheme = (SWITCHING, "TMIS", "TMIG", "MMI")[seed % 4]
-    arguments |= {"seed": seed, "duration": seconds, "guidance": guidance}
     try:
-        run = tl.simulate_teleoperation(scheme, **arguments)
+        run = simulate_teleoperation(scheme, who, study, seed, seconds, **parts)
     except DivergenceError as error:
         run = error.session
     given = T * power(run, "r_m", "f_m")
     rounding = 1e-9 * np.abs(given).sum() + 1e-14
-    np.testing.assert_allclose(run["energy_port"], given.cumsum(), rtol=1e-9, atol=rounding)
+    assert_allclose(run["energy_port"], given.cumsum(), rtol=1e-9, atol=rounding)
     exchanged = T * np.abs(columns(run, "r_m") * columns(run, "f_m")).sum(axis=1).cumsum()
     assert (run["energy_channel"] >= -1e-9 * exchanged - 1e-12).all()
     return given.cumsum()
@@ -88,7 +87,7 @@ def overspent(seeds, guard="repay", budgeted=True):
     return excess
 
 
-@pytest.mark.parametrize("guidance", GUIDANCE)
+@each_guidance
 @pytest.mark.parametrize("seeds", [10, pytest.param(500, marks=pytest.mark.long)])
 def test_the_operators_port_never_gives_out_more_than_it_took(seeds, guidance):
     assert min(deepest(guidance, "repay", seeds)) >= -1e-9
@@ -108,44 +107,39 @@ def test_what_breaks_the_bound_of_a_budget():
 
 
 def test_a_budget_is_felt_and_is_off_by_default():
-    budget = GuidanceBudget(energy=0.2, power=0.5)
-    runs = [
-        tl.simulate_teleoperation("M", seed=1, duration=30.0, guidance=Guidance(budget=b))
-        for b in (None, budget)
-    ]
-    before, felt = (tl.teleoperation_measures(run).iloc[0] for run in runs)
+    budget, same = GuidanceBudget(energy=0.2, power=0.5), {"seed": 1, "duration": 30.0}
+    usual, freer = (
+        simulate_teleoperation("M", guidance=Guidance(budget=b), **same) for b in (None, budget)
+    )
+    assert usual == simulate_teleoperation("M", **same)
+    before, felt = tl.teleoperation_measures([usual, freer]).to_dict("records")
     assert before["guidance_felt"] < 0.6
     assert before["guarded"] > 0.95
     assert felt["guidance_felt"] > 0.9
     assert felt["guarded"] < 0.5
     assert -budget.bound(30.0) <= felt["energy_port_min"] < -1.0
-    assert runs[0] == tl.simulate_teleoperation("M", seed=1, duration=30.0)
 
 
-@pytest.mark.parametrize("guidance", GUIDANCE)
+@each_guidance
 def test_without_its_guard_every_guidance_gives_energy_out(guidance):
     assert min(deepest(guidance, "off", 4)) < -0.1
 
 
 def test_the_exception_is_the_printed_guidance_without_its_guard_a_hidden_autopilot():
-    unguarded = Guidance("through_channel", "off")
-    run = tl.simulate_teleoperation("M", IDLE, duration=120.0, guidance=unguarded)
+    run = simulate_teleoperation("M", IDLE, guidance=Guidance("through_channel", "off"))
     assert run["path_error"].mean() == pytest.approx(0.07, abs=0.005)
-    reference = columns(run, "reference")  # a robot that stays where it starts would miss it
-    assert np.linalg.norm(reference - reference[0], axis=1).mean() > 1.0
     # the energy comes from the target, a port that the controller does not observe
     given = -run["energy_robot"][-1]
     assert run["energy_target"][-1] / given == pytest.approx(1.0, abs=0.03)
     # by (3.22) the force drives the robot, whatever the operator does: r_s = α (open − f_s/b) with
     # nothing arriving
-    b = STUDIES["main"].scattering.b
-    np.testing.assert_allclose(columns(run, "r_s")[:3], -columns(run, "f_s")[:3] / b, atol=1e-12)
+    b = MAIN.scattering.b
+    assert_allclose(columns(run, "r_s")[:3], -columns(run, "f_s")[:3] / b, atol=1e-12)
 
 
 def guided(stiffness, guard):
-    study = replace(STUDIES["main"], k_ffa=stiffness)
-    guidance = Guidance("through_channel", guard)
-    return tl.simulate_teleoperation("M", study=study, seed=1, guidance=guidance)
+    study, guidance = replace(MAIN, k_ffa=stiffness), Guidance("through_channel", guard)
+    return simulate_teleoperation("M", study=study, seed=1, guidance=guidance)
 
 
 def test_the_printed_controller_stops_the_operator_and_stiff_guidance_is_not_passive_under_it():
@@ -159,19 +153,14 @@ def test_the_printed_controller_stops_the_operator_and_stiff_guidance_is_not_pas
 def test_no_force_towards_a_target_that_nobody_sees(view):
     """The second camera, the negative control, sees all of the way."""
     task, asked = TrackingTask(view=view, speed=1.5), []
-
-    def spring(state):
-        asked.append(state.stretch.copy())
-        return -6.0 * state.stretch
-
-    run = tl.simulate_teleoperation(
-        "M", IDLE, seed=1, duration=30.0, task=task, guidance=Guidance(guard="off", force=spring)
+    spring = Guidance(
+        guard="off", force=lambda s: asked.append(s.stretch.copy()) or -6.0 * s.stretch
     )
+    run = simulate_teleoperation("M", IDLE, seed=1, duration=30.0, task=task, guidance=spring)
     late = round(task.camera_delay / T)
-    error = columns(run, "reference") - columns(run, "robot")
-    seen = np.zeros(len(run), bool)
-    seen[late:] = (np.abs(error[:-late, :2]) <= view).all(axis=1)
+    error = missed(run)[:-late]
+    seen = (np.abs(error[:, :2]) <= view).all(axis=1)
     asked = np.array(asked)[-len(run) :]
-    assert not asked[~seen].any()
-    np.testing.assert_allclose(asked[late:][seen[late:]], error[:-late][seen[late:]], atol=1e-12)
-    assert (~seen[late:]).mean() > 0.5 if view == 0.3 else seen[late:].all()
+    assert not asked[:late].any()
+    assert_allclose(asked[late:], error * seen[:, None], atol=1e-12)
+    assert seen.mean() < 0.5 if view == 0.3 else seen.all()
