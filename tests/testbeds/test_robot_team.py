@@ -20,6 +20,7 @@ from trustlab.teleoperation import (
     random_walk_delay,
     team_graph,
 )
+from trustlab.testbeds import robot_team
 
 ALONE = TeamOperator(push=0.0, drag=0.0)
 CHAIN = nx.path_graph(4)
@@ -422,3 +423,8 @@ def test_robots_are_numbered_as_they_count_however_edges_are_listed():
     for run in runs:
         assert run.robots == (0, 1, 2)
         assert_array_equal(run.positions, runs[0].positions)
+
+
+def test_where_drawn_trust_starts_does_not_follow_the_first_performance():
+    performance, start = robot_team._drawn(3, 400, 0.1, default_rng(0))
+    assert abs(np.corrcoef(performance[0], start)[0, 1]) < 0.2
