@@ -44,7 +44,7 @@ REFUSED = [
     (lambda: packet_delay([0.0, 0.1], [0.1, 0.05]).samples(7, 0.1), "packet 1, sent at t = 0.1"),
     (lambda: TwoPortFilter(1.0, 0.2, 1.0), r"k_12 k_21 = 0\.2"),
     (lambda: passivity_margin([1.0], [1.0, -1.0]), "stable"),
-    (lambda: tl.passivity(drive()), "no column 'f_"),
+    (lambda: tl.passivity(drive().session), "no column 'r_m_x'"),
     (lambda: passivity_margin([1.0, 0.0, 0.0], [1.0, 1.0]), "proper"),
     (lambda: fly(delay=(0.0, 0.1)), "delay to the robot.* at least one sample"),
     (
