@@ -164,9 +164,8 @@ def test_the_same_samples_do_not_count_twice():
 def test_an_initial_state_at_its_bound_widens_the_intervals():
     """Oracle: fits with r0 held where the likelihood is nearly as great as at the bound."""
     mode = np.repeat([1.0, 0.0] * 4, 1500)
-    run, rng = PILOT.simulate(mode, 0.04, 0.24), default_rng([6, 13])
-    noisy = {y: run[y] + 0.02 * rng.normal(size=mode.size) for y in ("p_h", "p_r")}
-    noisy = log(mode=mode, **noisy)
+    run, noise = PILOT.simulate(mode, 0.04, 0.24), default_rng([6, 13]).normal(size=(2, mode.size))
+    noisy = log(mode=mode, p_h=run["p_h"] + 0.02 * noise[0], p_r=run["p_r"] + 0.02 * noise[1])
     fit = fit_tsc(noisy)
     assert "r0 = 0, an end of its range" in fit.message
 
@@ -206,9 +205,9 @@ def test_people_who_share_parameters_and_runs_without_a_change_of_mode_are_remar
 def test_an_operator_who_does_not_follow_is_named_and_the_measured_one_drives_the_robot():
     robot, mode = PILOT.robot, np.repeat([1.0, 0.0] * 3, 1000)
     p_h = 0.4 + 0.05 * np.sin(0.005 * np.pi * np.arange(mode.size))
-    p_r = robot.simulate(mode, p_h, 0.24)
     noise = NOISE * default_rng(0).standard_normal((2, mode.size))
-    noisy = log(mode=mode, p_h=p_h + noise[0], p_r=p_r + noise[1])
+    p_r = robot.simulate(mode, p_h, 0.24) + noise[1]
+    noisy = log(mode=mode, p_h=p_h + noise[0], p_r=p_r)
     joint = fit_robot(noisy, p_h_max=robot.p_h_max)
     assert not joint.success
     assert "The residuals of p_h are not white" in joint.message
