@@ -15,7 +15,6 @@ import statsmodels.api as sm
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, mark
-from scipy.signal import lfilter
 
 import trustlab as tl
 from tests.cases import refused
@@ -40,21 +39,21 @@ MINE = tl.Model(
 )
 
 
-def session_of(noise=0.0, seed=0, samples=3000, truth=(0.011, 0.006, 0.3), phase=300):
+def session_of(noise=0.0, samples=3000, truth=(0.011, 0.006, 0.3), phase=300):
     mode = (np.arange(samples) // phase % 2 == 0).astype(float)
-    errors = noise * default_rng(seed).standard_normal(samples)
+    errors = noise * default_rng(0).standard_normal(samples)
     return log(mode=mode, p_r=two_rates({"mode": mode}, *truth) + errors)
 
 
 def levels(**outputs):
-    """A session in manual control, and a model of one level that all its outputs have."""
+    """A model of one level that all its outputs have, and a session in manual control."""
 
     def simulate(run, level):
         return tuple(np.full(run.size, level) for _ in outputs)
 
-    model = tl.Model("level", (), tuple(outputs), (0,), (1000,), simulate=simulate)
-    (size,) = {len(values) for values in outputs.values()}
-    return model, log(mode=np.ones(size), **outputs)
+    model = tl.Model("level", (), [*outputs], (0,), (1000,), simulate=simulate)
+    mode = np.ones_like(outputs["p_r"])
+    return model, log(mode=mode, **outputs)
 
 
 # --- a lab's own model ----------------------------------------------------------------------------
@@ -117,6 +116,8 @@ def test_its_derived_rows_carry_their_error():
     row = fit.parameters.loc["sum"]
     assert row["status"] == "derived"
     assert row["stderr"] == approx(np.sqrt(fit.covariance.to_numpy().sum()), rel=1e-9)
+    held = fit_model(model, session_of(0.003), fixed={"rise": 0.011, "decay": 0.006})
+    assert np.isnan(held.parameters["stderr"]["sum"])
 
 
 # --- standard errors ------------------------------------------------------------------------------
@@ -232,19 +233,3 @@ def test_a_model_that_takes_no_notice_of_mode_has_no_delay():
     switched = noisy.with_columns(mode=np.repeat([0.0, 1.0], 250))
     exact, rough = (fit_model(flat, switched, stamp_error=error).table() for error in (0.0, 3.0))
     pd.testing.assert_frame_equal(exact, rough)
-
-
-def test_a_start_far_away_ends_at_no_bound():
-    """From the middle of the bounds, a search that runs to a bound would end with a = 1."""
-
-    def lag(run, a, low, high, level, p_r0):
-        u = (1.0 - a) * (low + (high - low) * run["mode"])
-        p_r = lfilter([0.0, 1.0], [1.0, -a], u) + p_r0 * a ** np.arange(run.size)
-        return p_r, np.full(run.size, level)
-
-    names, rate = ["a", "low", "high", "level"], {"a": "rate"}
-    ends = [0.0] * 5, [1.0] * 5
-    model = tl.Model(names, "p_r0", ["p_r", "p_h"], *ends, simulate=lag, coordinates=rate)
-    model = replace(model, starts=lambda runs, limits: [{"a": 0.995}])
-    fit = fit_model(model, session(), noise="white")
-    assert fit.model["a"] == approx(PILOT.robot.a, abs=1e-3)

@@ -3,7 +3,6 @@ What the fits must give back: exact parameters from exact data, honest intervals
 """
 
 import numpy as np
-import pandas as pd
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -14,7 +13,6 @@ import trustlab as tl
 from tests.identification.cases import (
     FITS,
     MODELS,
-    PILOT,
     ROOT,
     SWITCHING,
     fits_giving_back,
@@ -25,11 +23,12 @@ from tests.identification.cases import (
 from trustlab import fit_human, fit_robot, fit_tsc
 
 # Every operator, and the pilot as each session may begin and be driven.
-EXACT = [(name, SWITCHING, 0.0, None) for name in MODELS] + [
-    ("pilot", 1.0 - SWITCHING, 0.0, None),
-    ("pilot", SWITCHING, 1.0, 0.3),
+SHORT = SWITCHING[::3]
+EXACT = [(name, SHORT, 0.0, None) for name in MODELS] + [
+    ("pilot", 1.0 - SHORT, 0.0, None),
+    ("pilot", SHORT, 1.0, 0.3),
     # Nothing in (2.3), (2.5) needs a mode of 0 or 1.
-    ("pilot", np.repeat(default_rng(3).random(20), 600), 0.3, 0.3),
+    ("pilot", np.repeat(default_rng(3).random(20), 300), 0.3, 0.3),
 ]
 
 
@@ -57,11 +56,6 @@ def test_shipped_sessions_are_fitted(name):
         assert scores([fit.table(level=0.9999)], truth(MODELS[name], who))[1].all(axis=None)
 
 
-def noisy(sessions):
-    """Sessions of 20,000 samples with seven switches and white noise of sd 0.003."""
-    return (session(seed=child) for child in np.random.SeedSequence(47).spawn(sessions))
-
-
 @mark.slow
 @mark.parametrize("who", ["robot", "human"])
 @mark.parametrize(
@@ -70,28 +64,20 @@ def noisy(sessions):
 )
 def test_intervals_cover_the_truth(who, sessions, least, apart):
     """
+    20,000 samples with seven switches and white noise of sd 0.003.
+
     95 % intervals cover the truth in 95 % of seeds, less 2.5 sd of that share (3.4 % and 1.1 %);
     errors are as large as the standard errors say, but for 2.7 sd of so many (11 % and 3.5 %).
     Those of β are smaller: r0 may lie at its bound, for which the intervals allow.
     """
-    tables = [FITS[who](each).table() for each in noisy(sessions)]
+    seeds = np.random.SeedSequence(47).spawn(sessions)
+    tables = [FITS[who](session(seed=seed)).table() for seed in seeds]
     z, inside = scores(tables, truth(who=who))
     assert (inside.mean() >= least).all()
     spread = (z**2).mean() ** 0.5
     assert spread.between(0.65, 1.0 + apart).all()
     loose = ["beta", "p_min"] if who == "human" else []
     assert spread.drop(loose).between(1.0 - apart, 1.0 + apart).all()
-
-
-def test_arx_is_biased_and_does_not_know_it():
-    """
-    Negative control: the same check catches ARX, whose intervals know nothing of measurement noise.
-    """
-    fits = [tl.arx(each["p_r"], each["mode"] * each["p_h"], intercept=True) for each in noisy(20)]
-    rows = pd.DataFrame([fit.table().loc["a1"] for fit in fits])
-    a = -PILOT.robot.a
-    assert not ((rows["ci_low"] <= a) & (a <= rows["ci_high"])).any()
-    assert rows["value"].mean() > a + 0.005
 
 
 @mark.parametrize("seeds", [16, pytest.param(40, marks=mark.long)])

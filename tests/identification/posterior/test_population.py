@@ -94,6 +94,7 @@ def test_spreads_are_half_t_and_correlations_moderate_before_data():
 def test_a_correlation_of_the_prior_is_that_of_new_people(monkeypatch):
     """It was divided out and lost. Oracle: like people under a prior without, turned alike."""
     monkeypatch.setattr(pooling, "admissible", lambda thetas: np.full(len(thetas), True))
+    monkeypatch.setattr(pooling, "STEPS", 900)
     matrix = np.eye(7)
     matrix[0, 1] = matrix[1, 0] = 0.9
     people, found = default_rng(3).standard_normal((4, 1, 7)), []
