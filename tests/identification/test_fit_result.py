@@ -27,11 +27,8 @@ def fits(session):
 
 
 def test_a_table_has_intervals_of_any_level(fits):
-    table, wider = (fits[1].table(level) for level in (0.95, 0.99))
-    assert list(table) == ["value", "stderr", "ci_low", "ci_high", "unit", "status"]
-    assert list(table.index) == ["a", "beta", "p_min", "p_max", "b", "time_constant"]
-    ends = ["ci_low", "ci_high"]
-    assert_allclose(np.ptp(wider[ends], axis=1) / np.ptp(table[ends], axis=1), 1.3142, atol=1e-3)
+    table, wider = (fits[1].table(level)[["ci_low", "ci_high"]] for level in (0.95, 0.99))
+    assert_allclose(np.ptp(wider, axis=1) / np.ptp(table, axis=1), 1.3142, atol=1e-3)
 
 
 def percent(y, fit, kept):

@@ -16,11 +16,10 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import approx, mark
 
-import trustlab as tl
 from tests.cases import refused
 from tests.identification.cases import PILOT, log, session, truth, undetermined
 from tests.identification.test_independent import human_output, robot_output
-from trustlab import fit as fit_model
+from trustlab import Model, fit as fit_model
 from trustlab.identification import ROBOT, TSC
 from trustlab.identification.log import read_runs
 from trustlab.identification.noise import hac_lags
@@ -34,7 +33,7 @@ def two_rates(run, rise, decay, p_r0):
     return p_r
 
 
-MINE = tl.Model(
+MINE = Model(
     ("rise", "decay"), "p_r0", "p_r", low=(0, 0, 0), high=(0.2, 0.2, 1), simulate=two_rates
 )
 
@@ -51,7 +50,7 @@ def levels(**outputs):
     def simulate(run, level):
         return tuple(np.full(run.size, level) for _ in outputs)
 
-    model = tl.Model("level", (), [*outputs], (0,), (1000,), simulate=simulate)
+    model = Model("level", (), [*outputs], (0,), (1000,), simulate=simulate)
     mode = np.ones_like(outputs["p_r"])
     return model, log(mode=mode, **outputs)
 
@@ -82,7 +81,7 @@ def straight_line(session, noise):
         return gain * run["mode"] + offset
 
     low, high = [-1.0, -1.0], [1.0, 1.0]
-    model = tl.Model(["gain", "offset"], (), "p_r", low, high, simulate=simulate)
+    model = Model(["gain", "offset"], (), "p_r", low, high, simulate=simulate)
     return fit_model(model, session, noise=noise)
 
 
@@ -105,7 +104,7 @@ def test_rates_are_searched_as_time_constants():
     def memory(run, a):
         return 0.2 + 0.1 * a ** np.arange(run.size)
 
-    model = tl.Model("a", (), "p_r", (0,), (1,), simulate=memory, coordinates={"a": "rate"})
+    model = Model("a", (), "p_r", (0,), (1,), simulate=memory, coordinates={"a": "rate"})
     slow = log(mode=np.ones(9000), p_r=0.2 + 0.1 * 0.9999 ** np.arange(9000))
     assert 1.0 - fit_model(model, slow).model["a"] == approx(1e-4, rel=1e-6)
 
@@ -210,7 +209,7 @@ def test_an_unknown_without_effect_is_named():
     def simulate(run, level, idle):
         return np.full(run.size, level)
 
-    model = tl.Model(["level", "idle"], (), "p_r", (0, 0), (1, 1), simulate=simulate)
+    model = Model(["level", "idle"], (), "p_r", (0, 0), (1, 1), simulate=simulate)
     with undetermined("do not determine idle") as caught:
         fit_model(model, session_of())
     assert caught.value.parameters == ("idle",)

@@ -7,9 +7,9 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pytest import mark
-from scipy.signal import lfilter
 
 import trustlab as tl
+from notebooks.noise_settings import ar1
 from tests.identification.cases import (
     FITS,
     MODELS,
@@ -83,15 +83,13 @@ def test_intervals_cover_the_truth(who, sessions, least, apart):
 @mark.parametrize("seeds", [16, pytest.param(40, marks=mark.long)])
 def test_slow_noise_under_white_noise_is_seen(seeds):
     """z scores over seeds: white noise must not hide slow noise from the robust standard errors."""
-    clean, logs = session(noise=0.0), []
+    beta, logs = truth(who="human")[["beta"]], []
     for seed in range(seeds):
-        rng = default_rng(seed)
-        drive = 0.001 * np.sqrt(1 - 0.99**2) * rng.standard_normal(22_000)
-        p_h = clean["p_h"] + lfilter([1.0], [1.0, -0.99], drive)[2000:]
-        logs.append(clean.with_columns(p_h=p_h + 0.003 * rng.standard_normal(20_000)))
+        noisy = session(seed=seed)
+        slow = ar1(default_rng(1000 + seed), len(noisy), 10.0, 0.001)
+        logs.append(noisy.with_columns(p_h=noisy["p_h"] + slow))
     hac, white = ([fit_human(log, noise=way) for log in logs] for way in ("hac", "white"))
     assert 'use noise="auto"' in white[-1].message
-    beta = truth(who="human")[["beta"]]
     robust, plain = (scores([fit.table() for fit in fits], beta)[0] for fits in (hac, white))
     assert robust.std(ddof=0).item() < 1.7
     assert plain.std(ddof=0).item() > 2.5

@@ -6,6 +6,7 @@ simulation-based calibration); the fit where data tell everything; SciPy's gener
 distribution; moments of known densities.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -123,6 +124,7 @@ def test_a_long_log_agrees_with_its_fit():
     assert ((table["mean"] - fit["value"]).abs() < 2.0 * fit["stderr"]).all()
     assert_allclose(table["sd"], fit["stderr"], rtol=0.5)
     assert posterior.reliable
+    assert not replace(posterior, k_hat=0.71).reliable
     assert (posterior.table()["narrower"][list(MODEL)] > 0.98).all()
     assert posterior.models[0].human.beta == posterior.draws["human_beta"][0]
 
