@@ -123,12 +123,12 @@ def test_a_model_of_ones_own_has_a_window_for_its_performance_alone():
 
     def model(*outputs):
         def simulate(run, rate, start):
-            return (start * np.exp(-rate * run.t),) * len(outputs)
+            return (0.1 + start * np.exp(-rate * run.t),) * len(outputs)
 
         return tl.Model(["rate", "start"], [], outputs, [0.0, 0.0], [0.2, 1.0], simulate=simulate)
 
     noise = 0.003 * default_rng(0).standard_normal((2, 3000))
-    noisy = 0.1 * np.exp(-0.002 * np.arange(3000)) + noise
+    noisy = 0.1 + 0.1 * np.exp(-0.002 * np.arange(3000)) + noise
     plain = log(mode=np.ones(3000), path_error=noisy[0])
     beside = plain.with_columns(p_r=window_mean(noisy[1], 0.1, 20.0))
     beside = beside.with_metadata(performance_window=20.0)
