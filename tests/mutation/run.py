@@ -42,6 +42,7 @@ NOTICED_BY = {
     "identification/test_limits.py": "identification/fit identification/model identification/tsc",
     "identification/test_logged.py": "identification/fit identification/log "
     "identification/problem identification/tsc",
+    "identification/test_model.py": "identification/log",
     "identification/test_regression.py": "identification/transfer_function",
     "identification/posterior/test_likelihood.py": "identification/noise "
     "identification/posterior/density",

@@ -2,12 +2,11 @@
 Write `ranks.csv` and `populations.csv`: what posteriors say of people whose parameters are known.
 
 An hour on one core. The tests read the tables, and make some of their rows again:
-`python -m tests.identification.posterior.make_coverage [ranks | populations] [workers]`.
+`python -m tests.identification.posterior.make_coverage`.
 """
 
-import itertools
-import sys
 from concurrent.futures import ProcessPoolExecutor
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,6 @@ import trustlab as tl
 from tests.identification.posterior import simulated_logs
 from trustlab.identification.posterior import population as pooling
 from trustlab.identification.posterior.density import as_prior, physical, transformed
-from trustlab.identification.posterior.result import MODEL
 
 HERE = Path(__file__).resolve().parent
 PRINTED = ["1", "2", "3", "4", "5", "pilot"]
@@ -45,31 +43,35 @@ GROUPS = 20
 def log_of(people, noise, number):
     """Return a simulated log, the true θ, and the prior that it is to be read with."""
     rng = np.random.default_rng([29, number, *map(ord, people + noise)])
-    if people == "prior, measuring rule":
-        return *simulated_logs.measured_case(rng), tl.Prior()
-    if people == "prior, thresholds":
-        return *simulated_logs.drawn_case(rng, "any", "closed"), tl.Prior()
-    if people == "prior, open":
-        prior = NOISES[noise]
-        return *simulated_logs.drawn_case(rng, noise, prior=prior), prior
-    loop = "open" if people.endswith("open") else "closed"
-    who = PRINTED[number % len(PRINTED)]
-    return *simulated_logs.printed_case(rng, noise, loop, who=who), tl.Prior()
+    who, how = people.split(", ")
+    prior, loop = NOISES.get(noise, tl.Prior()), "open" if how == "open" else "closed"
+    if how == "measuring rule":
+        case = simulated_logs.measured_case(rng)
+    elif who == "prior":
+        case = simulated_logs.drawn_case(rng, noise, loop, prior=prior)
+    else:
+        case = simulated_logs.printed_case(rng, noise, loop, who=PRINTED[number % len(PRINTED)])
+        prior = tl.Prior()
+    return *case, prior
+
+
+def shares_below(posterior, theta):
+    """Return the share of draws below the truth, by parameter."""
+    truth = physical(theta[None], 0.1).iloc[0].dropna()
+    draws = posterior.draws.drop(columns=["human_a", "robot_a"])  # ranks of their time constants
+    known = draws.columns.intersection(truth.index, sort=False)
+    return (draws[known] < truth[known]).mean()
 
 
 def ranks_of(people, noise, number):
-    """Return the share of draws below the truth, by parameter; nothing where a log is refused."""
+    """Return the shares of draws below the truth; nothing where a log is refused."""
     about = {"people": people, "noise": noise, "number": number}
     session, theta, prior = log_of(people, noise, number)
     try:
         posterior = tl.sample_posterior(session, prior=prior, seed=number)
     except tl.IdentificationError as error:
         return about | {"refused": str(error)}
-    truth = physical(theta[None], 0.1).iloc[0]
-    draws = posterior.draws.drop(columns=["human_a", "robot_a"])  # ranks of their time constants
-    known = [name for name in draws if np.isfinite(truth[name])]
-    shares = (draws[known] < truth[known]).mean()
-    return about | shares.to_dict()
+    return about | shares_below(posterior, theta).to_dict()
 
 
 def five_of(origin, rng):
@@ -106,19 +108,16 @@ def population_of(origin, noise, number):
     return rows.assign(origin=origin, noise=noise, number=number)
 
 
-def main(only=None, workers="2"):
-    """Write both tables, or one of them."""
-    with ProcessPoolExecutor(int(workers)) as pool:
-        if only in (None, "ranks"):
-            cases = [(*case, k) for case, count in LOGS.items() for k in range(count)]
-            rows = pool.map(ranks_of, *zip(*cases, strict=True), chunksize=10)
-            pd.DataFrame(rows).round(4).to_csv(HERE / "ranks.csv", index=False)
-        if only in (None, "populations"):
-            cases = list(itertools.product(ORIGINS, ("slow", "means"), range(GROUPS)))
-            tables = pd.concat(pool.map(population_of, *zip(*cases, strict=True)))
-            named = tables[tables["parameter"].isin(MODEL)]
-            named.to_csv(HERE / "populations.csv", index=False, float_format="%.8g")
+def main():
+    """Write both tables."""
+    with ProcessPoolExecutor() as pool:
+        cases = [(*case, k) for case, count in LOGS.items() for k in range(count)]
+        rows = pool.map(ranks_of, *zip(*cases, strict=True), chunksize=10)
+        pd.DataFrame(rows).round(4).to_csv(HERE / "ranks.csv", index=False)
+        groups = zip(*product(ORIGINS, ("slow", "means"), range(GROUPS)), strict=True)
+        tables = pd.concat(pool.map(population_of, *groups))
+        tables.to_csv(HERE / "populations.csv", index=False, float_format="%.8g")
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()
