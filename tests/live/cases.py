@@ -48,6 +48,18 @@ def session_of(config, commands):
 # --- files ----------------------------------------------------------------------------------------
 
 
+def written(folder, pages):
+    """A file of pages in a folder."""
+    path = folder / "pages.toml"
+    path.write_text(pages, encoding="utf-8")
+    return path
+
+
+def recorded(plan):
+    """What a study has recorded so far."""
+    return tl.read_live_study(plan.folder)
+
+
 def record(plan, code="P01", name="01-training"):
     """What the log of a drive says."""
     origin = file_origin(plan.digest, code, name)

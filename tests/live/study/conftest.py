@@ -1,47 +1,37 @@
 """A small study, its server, and a client that asks as a browser does, or as one should not."""
 
-import http.client
 import json
 import warnings
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from http.client import HTTPConnection
 from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import pytest
 
 import trustlab as tl
+from tests.live.cases import recorded, written
 from trustlab.live.study.server import StudyServer
 
 SHORT = {"laps": 1, "training": 10.0, "identification": [(1, 20.0), (0, 20.0)]}
 
 
-def ask(url, body=None, *, host=None, path=None, **headers):
+def ask(url, body=None, path=None, **headers):
     """
     One request, as a page of the study would send it but for what is given; returns status, headers
     and JSON or bytes.
     """
     place = urlsplit(url)
-    link = http.client.HTTPConnection(place.hostname, place.port, timeout=60)
-    own, data = {"Host": host or place.netloc}, None
-    if body is not None:
-        data = body if isinstance(body, bytes) else json.dumps(body).encode()
-        own |= {"Content-Type": "application/json", "Origin": f"http://{place.netloc}"}
-    own |= {name.replace("_", "-"): value for name, value in headers.items()}
-    sent = {name: value for name, value in own.items() if value is not None}
-    try:
-        link.request("GET" if data is None else "POST", path or place.path, data, sent)
+    data = None if body is None else json.dumps(body)
+    own = {"Content-Type": "application/json", "Origin": f"http://{place.netloc}"} if data else {}
+    sent = {name: value for name, value in (own | headers).items() if value}
+    with closing(HTTPConnection(place.netloc, timeout=60)) as link:
+        link.request("POST" if data else "GET", path or place.path, data, sent)
         answer = link.getresponse()
         content = answer.read()
-    except (ConnectionError, http.client.HTTPException):
-        return SimpleNamespace(status=0, headers={}, content=b"", json={})
-    finally:
-        link.close()
-    json_sent = content and "json" in answer.headers.get("Content-Type", "")
+    given = json.loads(content) if "json" in answer.headers["Content-Type"] else {}
     return SimpleNamespace(
-        status=answer.status,
-        headers=answer.headers,
-        content=content,
-        json=json.loads(content) if json_sent else {},
+        status=answer.status, headers=answer.headers, content=content, json=given
     )
 
 
@@ -60,16 +50,22 @@ class DrivingPage:
         options = {"origin": f"http://{place.netloc}", "timeout": 60} | options
         self.window, self.socket = window, websocket.create_connection(url, **options)
 
+    def send(self, **message):
+        self.socket.send(json.dumps({"window": self.window} | message))
+
+    def hear(self):
+        return json.loads(self.socket.recv())
+
     def say(self, **message):
         """Send a message, and return its answer."""
-        self.socket.send(json.dumps({"window": self.window} | message))
-        return json.loads(self.socket.recv())
+        self.send(**message)
+        return self.hear()
 
     def begin(self):
         return self.say(begin=True)
 
     def drive(self, k, count, command=(0.3, 0.1, 1)):
-        return self.say(k=k, commands=[list(command)] * count, seen=max(k - 2, 0))
+        return self.say(k=k, commands=[command] * count, seen=max(k - 2, 0))
 
 
 @pytest.fixture(scope="session")
@@ -79,25 +75,27 @@ def driving_page():
 
 @pytest.fixture
 def make_plan(tmp_path):
-    """A function that plans a small study: two conditions, three participants, short drives."""
+    """
+    A function that plans a small study, with pages of one's own: two conditions, three
+    participants, short drives.
+    """
 
-    def make(conditions=("C1", "C3"), participants=3, name="mystudy", **options):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            options = {"whole_squares": False, **SHORT, **options}
-            return tl.LiveStudy(tmp_path / name, list(conditions), participants, **options)
+    def make(conditions=("C1", "C3"), participants=3, pages="", short=SHORT, **options):
+        options = {"whole_squares": False, "pages": written(tmp_path, pages), **short, **options}
+        with warnings.catch_warnings(action="ignore"):
+            return tl.LiveStudy(tmp_path / "mystudy", list(conditions), participants, **options)
 
     return make
 
 
 @pytest.fixture
-def make_team_plan(tmp_path):
+def make_team_plan(make_plan):
     """A function that plans a rehearsal: two conditions, teams that are led for two seconds."""
 
     def make(participants=2, **options):
         conditions = ["by_hand", "most_trusted"]
-        options = {"duration": 2.0, "training": 1.0, "rehearsal": True, **options}
-        return tl.LiveStudy(tmp_path / "team", conditions, participants, task="team", **options)
+        short = {"duration": 2.0, "training": 1.0, "rehearsal": True, "task": "team"}
+        return make_plan(conditions, participants, short=short, **options)
 
     return make
 
@@ -125,6 +123,10 @@ class Served:
 
     def overview(self):
         return ask(f"{self.server.experimenter}/state").json
+
+    @property
+    def study(self):
+        return recorded(self.plan)
 
 
 @pytest.fixture
