@@ -7,22 +7,20 @@ import numpy as np
 import trustlab as tl
 from trustlab.live.study.plan import file_origin
 from trustlab.live.task import task_named
-from trustlab.live.tasks.ground_robot import drive_config
 from trustlab.live.trial import read_record
 
 # --- runs -----------------------------------------------------------------------------------------
 
 
+CHOSEN = {"ground_robot": "training", "team": "suggested", "teleoperation": "MMI"}
+
+
 def configured(name, condition="", **settings):
     """The settings of a run as a log holds them; without a condition one in which all is chosen."""
-    if name == "ground_robot":
-        content = tl.DriveSettings(training=8.0).as_json()
-        config = drive_config(content, condition or "training", 3)
-    else:
-        task = task_named(name)
-        condition = condition or {"team": "suggested", "teleoperation": "MMI"}[name]
-        config = task.config(task.settings(**settings).as_json(), condition, 3)
-    return json.loads(json.dumps(config))
+    task = task_named(name)
+    short = {"training": 8.0} if name == "ground_robot" else {"duration": 4.0}
+    content = task.settings(**settings or short).as_json()
+    return json.loads(json.dumps(task.config(content, condition or CHOSEN[name], 3)))
 
 
 def commands_for(config, hold=1):

@@ -125,8 +125,7 @@ def test_the_name_of_a_new_log_is_on_the_disk(path, monkeypatch):
 
 def begun(path, name="team"):
     """A trial that has begun in window a."""
-    config = configured(name, **{} if name == "ground_robot" else {"duration": 4.0})
-    trial = Trial(path, task_named(name), config, participant="me")
+    trial = Trial(path, task_named(name), configured(name), participant="me")
     trial.take({"begin": True, "window": "a"})
     return trial
 
