@@ -6,13 +6,13 @@ import { TASKS } from "./tasks.js";
 
 globalThis.document = { addEventListener() {}, hidden: true };
 globalThis.requestAnimationFrame = () => {};
-TASKS.none = () => ({ moving: [], heard() {} });
+TASKS.none = () => ({ moving: [], heard() {}, command: () => [0], wait() {} });
 
-test("a drive that was begun again while the connection was down is not continued", async (t) => {
+function drive(t) {
   const channels = [],
     ends = [];
   const open = () => {
-    channels.push({ readyState: 1, close() {}, send() {} });
+    channels.push({ readyState: 1, sent: 0, close() {}, send: () => (channels.at(-1).sent += 1) });
     return channels.at(-1);
   };
   const run = play({}, open, { heard() {}, say() {}, end: (words) => ends.push(words) });
@@ -22,6 +22,11 @@ test("a drive that was begun again while the connection was down is not continue
     channels.at(-1).onopen();
     channels.at(-1).onmessage({ data: JSON.stringify({ k, done: false, picture: {}, config }) });
   };
+  return { channels, ends, run, begun };
+}
+
+test("a drive that was begun again while the connection was down is not continued", async (t) => {
+  const { channels, ends, run, begun } = drive(t);
   const again = async () => {
     const before = channels.length;
     channels.at(-1).onclose({ reason: "" });
@@ -34,5 +39,18 @@ test("a drive that was begun again while the connection was down is not continue
   await again();
   begun(1, 0);
   assert.deepStrictEqual(ends, [""]);
+  assert.ok(run.state().over);
+});
+
+test("a page whose commands cannot be stops, says why, and sends no more", async (t) => {
+  const { channels, ends, run, begun } = drive(t);
+  document.hidden = false;
+  begun(0, 0);
+  while (channels[0].sent < 3) await new Promise((ok) => setTimeout(ok, 20));
+  channels[0].onmessage({ data: JSON.stringify({ refused: "mode cannot be 7" }) });
+  assert.deepStrictEqual(ends, ["mode cannot be 7"]);
+  const { sent } = channels[0];
+  await new Promise((ok) => setTimeout(ok, 200));
+  assert.deepStrictEqual([channels.length, channels[0].sent], [1, sent]);
   assert.ok(run.state().over);
 });

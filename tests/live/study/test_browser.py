@@ -16,7 +16,7 @@ import pytest
 import trustlab as tl
 from tests.live.cases import advance, record
 from tests.live.study.test_crashes import Server, plant_torn_line
-from trustlab.live.task import LiveTask, task_named
+from trustlab.live.task import task_named
 
 Error = pytest.importorskip("playwright.sync_api", reason="playwright is not installed").Error
 ATTACK = '<script>window.top.fired=1</script><img src=x onerror="window.top.fired=1">'
@@ -131,7 +131,7 @@ def test_three_people_at_once_from_consent_to_report(make_plan, serving, browser
     with serving(plan) as served:
         phone = browser.new_context(viewport={"width": 400, "height": 700})
         experimenter = opened(phone, served.server.experimenter)
-        people = {code: opened(browser.new_context(), url) for code, url in served.links.items()}
+        people = {code: opened(browser, url) for code, url in served.links.items()}
         where = dict.fromkeys(people, -1)
         end = time.monotonic() + 240
         while people:
@@ -188,22 +188,22 @@ def check_report(study, browser):
 
 def lead(page):
     """Point to a place of the hand's square, choose robot 2, and return what the page says."""
-    drive_on(page, 4)
+    until(page, "self.study.rows > 4")
     box = page.locator("canvas.pad").bounding_box()
     half = 0.35 * box["width"]
     x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
     page.mouse.move(x + 0.9 * half, y - 0.5 * half)
     page.keyboard.press("2")
-    drive_on(page, 6)
+    until(page, "self.study.rows > 10")
     return page.inner_text("#drive")
 
 
 def test_a_person_leads_a_team(make_plan, serving, browser):
     """Oracle: where the mouse was, and the replay of the commands that were logged."""
     settings = {"duration": 7.0, "training": 2.0, "goals": 2, "task": "team"}
-    said, number = [], -1
+    said = []
     with serving(make_plan(["by_hand", "suggested"], 2, short=settings)) as served:
-        page = opened(browser.new_context(), served.links["P01"])
+        page = opened(browser, served.links["P01"])
         number, kind = next_page(page)
         while kind != "end":
             go_on(page, kind, "fine")
@@ -215,16 +215,15 @@ def test_a_person_leads_a_team(make_plan, serving, browser):
                 until(page, "!document.querySelector('#drive')")
             number, kind = next_page(page, number)
         assert page.faults == []
-    for words in ("Goal 1 of 2", "Robot", "%"):
-        assert words in said[0]
+    assert "Goal 1 of 2" in said[0]
     measures = served.study.measures
     assert measures["verified"].tolist() == [True, True]
     assert measures["pauses"].max() >= 1, "the page was loaded again"
     assert measures["period_median"].tolist() == pytest.approx([0.05, 0.05], abs=0.02)
     for session in served.study.sessions():
         assert session["leader_choice"].max() == 2
-        last = [session[f"pointer_{axis}"][-1] for axis in "xy"]
-        assert last == pytest.approx([0.9, 0.5], abs=0.02)
+        last = session.data[["pointer_x", "pointer_y"]].iloc[-1]
+        assert last.tolist() == pytest.approx([0.9, 0.5], abs=0.02)
         if session.metadata.condition == "by_hand":
             assert session["leader"][-1] == 2, "from the end of the dwell time on"
 
@@ -253,13 +252,13 @@ def test_a_reload_and_a_closed_tab_lose_nothing_and_switch_no_mode(long_training
     page.close()
     assert on_disk(plan) >= made
     again = driving(context, url)  # the same browser
-    other = opened(browser.new_context(), url)  # another one: the same link, the same page
+    other = opened(browser, url)  # another one: the same link, the same page
     assert next_page(other) == [1, "drive"]
     go_on(other)
     says(again, "another window")
     already = on_disk(plan)
     until(other, f"self.study.rows > {already + 5}")
-    assert [pause["why"] for pause in record(plan).pauses].count("begun again") >= 2
+    assert sum("begun again" in pause["why"] for pause in record(plan).pauses) >= 2
     assert page.faults == again.faults == []
 
 
@@ -269,7 +268,7 @@ def test_a_reload_takes_back_no_share(make_plan, serving, browser):
     code = next(code for code, order in plan.orders.items() if order[0] == "MMI")
     with serving(plan) as served:
         number = advance(served.server.participant(code), "drive")
-        page = opened(browser.new_context(), served.links[code])
+        page = opened(browser, served.links[code])
         next_page(page)
         go_on(page)
         drive_on(page, 4)
@@ -292,7 +291,7 @@ def test_without_a_network_or_a_disk_a_drive_stands_still_says_so_and_goes_on(
     long_training, browser, full_disk, seconds
 ):
     plan, context = long_training.plan, browser.new_context()
-    experimenter = opened(browser.new_context(), long_training.server.experimenter)
+    experimenter = opened(browser, long_training.server.experimenter)
     page = driving(context, long_training.links["P01"])
     context.set_offline(True)
     time.sleep(seconds)
@@ -320,7 +319,7 @@ def test_a_server_killed_and_back_loses_nothing(make_plan, browser, seconds):
     plan = make_plan(training=60.0)
     server = Server(plan.folder)
     server.start()
-    page = driving(browser.new_context(), server.link)
+    page = driving(browser, server.link)
     acknowledged = rows(page)
     server.kill()
     assert on_disk(plan) >= acknowledged
@@ -342,7 +341,7 @@ def test_every_frame_of_a_task_moves(make_plan, serving, browser, task):
     """Frames that differ from the one before, of all that the screen shows in three seconds."""
     plan = make_plan(task_named(task).conditions, short={"task": task, "training": 30.0})
     with serving(plan) as served:
-        page = driving(browser.new_context(), served.links["P01"], 20)
+        page = driving(browser, served.links["P01"], 20)
         if task == "ground_robot":
             page.keyboard.down("ArrowUp")
         else:
@@ -379,7 +378,7 @@ FRAMES = """() => {
 
 
 def test_what_the_experimenter_does_reaches_the_page(served, browser):
-    page = driving(browser.new_context(), served.links["P01"])
+    page = driving(browser, served.links["P01"])
     served.act("restart", page=1)
     until(page, "document.querySelector('main > button')?.textContent === 'Start'")
     before = on_disk(served.plan)
@@ -387,7 +386,7 @@ def test_what_the_experimenter_does_reaches_the_page(served, browser):
     drive_on(page, 5)
     assert on_disk(served.plan) == before  # the first attempt stays as it was
     served.act("note", text=ATTACK)
-    experimenter = opened(browser.new_context(), served.server.experimenter)
+    experimenter = opened(browser, served.server.experimenter)
     says(experimenter, "<script>")
     assert experimenter.evaluate("window.fired === undefined && document.images.length === 0")
     served.act("end")
@@ -400,7 +399,7 @@ def test_a_study_in_german_and_a_participant_who_joins_once_and_declines(
 ):
     over = "document.querySelector('h1')?.textContent.includes('beendet')"
     with serving(make_plan(language="de"), enrol=True) as served:
-        page = opened(browser.new_context(), served.overview()["join"])
+        page = opened(browser, served.overview()["join"])
         page.dblclick("button")
         next_page(page)
         assert page.evaluate("document.documentElement.lang") == "de"
@@ -412,7 +411,7 @@ def test_a_study_in_german_and_a_participant_who_joins_once_and_declines(
         assert "Möchten Sie nicht teilnehmen?" in questions[0]
         assert page.locator("#withdraw button").count() == 0
         assert page.faults == []
-        driver = driving(browser.new_context(), served.links["P02"])
+        driver = driving(browser, served.links["P02"])
         assert driver.inner_text(".tl-drive .mode") == "VON HAND"
         driver.on("dialog", lambda dialog: dialog.accept())
         driver.click("text=Teilnahme beenden")
@@ -420,22 +419,6 @@ def test_a_study_in_german_and_a_participant_who_joins_once_and_declines(
     people = served.study.participants
     assert people["withdrawn"].tolist() == [True, True, False]
     assert people["completion"].astype(bool).tolist() == [True, False, False]
-
-
-def test_a_page_whose_commands_cannot_be_stops(served, browser, monkeypatch):
-    page = driving(browser.new_context(), served.links["P01"])
-    asked = []
-
-    def refuse(task, config, command):
-        asked.append(command)
-        raise ValueError("mode cannot be 7")
-
-    monkeypatch.setattr(LiveTask, "check", refuse)
-    says(page, "mode cannot be 7")
-    before = len(asked)
-    time.sleep(1.0)
-    assert len(asked) == before, "it is not sent again"
-    assert page.faults == []
 
 
 def test_pages_fit_a_phone_and_can_be_used_by_keyboard_and_screen_reader(served, browser):

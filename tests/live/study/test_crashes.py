@@ -15,8 +15,8 @@ from contextlib import suppress
 
 import pytest
 
-from tests.live.cases import events, record, recorded
-from trustlab.live.study.plan import read_tokens
+from tests.live.cases import commands_for, events, record, recorded
+from trustlab.live.study.plan import drive_of, read_tokens
 from trustlab.live.trial import stepped
 from trustlab.trust.dynamics import MODELS
 
@@ -50,16 +50,6 @@ def plant_torn_line(path, rng):
         file.write(line[: rng.randrange(1, len(line))])
 
 
-def steered(rng):
-    """A command to the ground robot."""
-    return [0.5 * rng.random(), rng.uniform(-0.5, 0.5), rng.randrange(2)]
-
-
-def led(rng):
-    """A command to a team."""
-    return [rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0), rng.randrange(1, 5)]
-
-
 def connected(link, driving_page):
     """A page that has begun, as soon as the server is there."""
     for _ in range(200):
@@ -70,12 +60,13 @@ def connected(link, driving_page):
     raise TimeoutError(link)
 
 
-def kills(plan, client, driving_page, count, command):
+def kills(plan, client, driving_page, count):
     """
     Send commands as a browser does while the server is killed and started again; return those made,
     all of which were acknowledged in the end.
     """
     rng, server = random.Random(count), Server(plan.folder)
+    all_commands = commands_for(drive_of(plan.content, "training"))
     made, killed = [], 0
     server.start()
     client(f"{server.link}/answers", {"page": 0, "answers": {"consent": True}})
@@ -83,7 +74,7 @@ def kills(plan, client, driving_page, count, command):
     until = time.monotonic() + rng.uniform(0.05, 0.6)
     while killed < count or acknowledged < len(made):
         if killed < count:
-            made += [command(rng) for _ in range(rng.randrange(1, 8))]
+            made = all_commands[: len(made) + rng.randrange(1, 8)]
         message = {"k": acknowledged, "commands": made[acknowledged:], "seen": acknowledged}
         if killed == count or time.monotonic() < until:
             acknowledged = page.say(**message)["k"]
@@ -106,16 +97,16 @@ def kills(plan, client, driving_page, count, command):
 
 
 @pytest.mark.parametrize("count", [2, pytest.param(20, marks=pytest.mark.long)])
-@pytest.mark.parametrize("command", [steered, led])
+@pytest.mark.parametrize("task", ["ground_robot", "team"])
 def test_kills_at_random_moments_lose_nothing(
-    make_plan, make_team_plan, client, driving_page, command, count
+    make_plan, make_team_plan, client, driving_page, task, count
 ):
-    if command is steered:
-        plan = make_plan(training=600.0)
-    else:  # with a model of trust of another kind than the printed one
+    if task == "team":  # with a model of trust of another kind than the printed one
         trust = MODELS["asymmetric"]()
-        plan = make_team_plan(training=300.0, rehearsal=False, trust=trust)
-    made = kills(plan, client, driving_page, count, command)
+        plan = make_team_plan(training=600.0, rehearsal=False, trust=trust)
+    else:
+        plan = make_plan(training=600.0)
+    made = kills(plan, client, driving_page, count)
     log = record(plan)
     assert log.commands == made
     rows = list(stepped(plan.task.begin(log.settings), made))

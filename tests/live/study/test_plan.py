@@ -5,6 +5,7 @@ square of the design.
 
 import json
 import shutil
+from unittest.mock import Mock, call
 
 import numpy as np
 import pandas as pd
@@ -14,11 +15,11 @@ import trustlab as tl
 from tests.cases import refused
 from tests.live.cases import recorded
 from trustlab.live.hands import HumanHand
-from trustlab.live.study import plan as planning
 from trustlab.live.study.__main__ import main
 from trustlab.live.study.plan import drive_of, links_path, read_tokens, tokens_path
 from trustlab.live.study.server import StudyServer
-from trustlab.live.tasks.ground_robot import TASK, Drive
+from trustlab.live.task import scripted_commands
+from trustlab.live.tasks.ground_robot import TASK
 
 
 def test_the_plan_is_frozen_and_opens_again(make_plan):
@@ -73,16 +74,11 @@ def test_what_makes_no_study_is_refused_and_nothing_is_left(make_plan, tmp_path)
 
 
 def test_the_command_line_plans_and_complains(tmp_path, monkeypatch, capsys):
-    served = []
-
-    def serve(plan, port, url, enrol):
-        served.append((port, url, enrol))
-
-    monkeypatch.setattr(planning.LiveStudy, "serve", serve)
-    folder = str(tmp_path / "mystudy")
-    proxy = "https://lab.test"
+    serve, folder, proxy = Mock(), str(tmp_path / "mystudy"), "https://lab.test"
+    monkeypatch.setattr(tl.LiveStudy, "serve", serve)
     assert main([folder]) == main([folder, "--port", "9000", "--url", proxy, "--enrol"]) == 0
-    assert served == [(8765, "", False), (9000, proxy, True)]
+    usual = {"port": 8765, "url": "", "enrol": False}
+    assert serve.mock_calls == [call(**usual), call(port=9000, url=proxy, enrol=True)]
     assert len(tl.LiveStudy.open(folder).orders) == 20
     assert main([str(tmp_path)]) == 2
     said = capsys.readouterr()
@@ -94,12 +90,8 @@ def test_a_deletion_that_fails_is_told_and_the_next_one_finishes_it(make_plan, m
     plan = make_plan()
     (plan.folder / "P01" / "events.jsonl").touch()
 
-    def refused(folder, ignore_errors=False):
-        if not ignore_errors:
-            raise PermissionError(13, "Permission denied")
-
     with monkeypatch.context() as patched:
-        patched.setattr(shutil, "rmtree", refused)
+        patched.setattr(shutil, "rmtree", Mock(side_effect=PermissionError))
         with pytest.raises(PermissionError):
             plan.delete("P01")
     assert plan.deleted() == ["P01"]
@@ -137,13 +129,9 @@ def test_a_participant_may_be_called_experimenter(make_plan):
 
 def test_a_rehearsal_that_was_interrupted_begins_again(make_team_plan, monkeypatch):
     """A notebook keeps the traceback, and with it all that the call held."""
-    plan = make_team_plan()
-
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
+    plan, interrupted = make_team_plan(), Mock(side_effect=KeyboardInterrupt)
     with monkeypatch.context() as patched:
-        patched.setattr("trustlab.live.study.participant.Trial.take", interrupt)
+        patched.setattr("trustlab.live.study.participant.Trial.take", interrupted)
         with pytest.raises(KeyboardInterrupt) as kept:
             plan.rehearse()
     plan.rehearse()
@@ -151,14 +139,9 @@ def test_a_rehearsal_that_was_interrupted_begins_again(make_team_plan, monkeypat
     assert recorded(plan).participants["complete"].all()
 
 
-def drive_rows(config, switched):
-    """The log of a whole drive; `switched` says what a person makes of mode and suggestion."""
-    drive, hand = Drive(config), HumanHand(config, 1)
-    rows = []
-    while not drive.done:
-        mode = switched(drive.state["mode"], drive.state["suggested"])
-        v, w, _ = hand(drive.picture())
-        rows.append(drive.step(v, w, float(mode)))
+def driven(config, hand):
+    """The log of a whole drive."""
+    _, rows = scripted_commands(TASK, config, hand)
     return pd.DataFrame(rows, columns=config["columns"])
 
 
@@ -186,23 +169,22 @@ def test_conditions_and_courses_of_ones_own_are_driven(make_plan):
     for name, notice in (("C3", 3.0), ("slow", 10.0)):
         config = drive_of(plan.content, name, seed=1)
         assert config["path"] == course.path.tolist()
-        log = drive_rows(config, lambda mode, suggested: 1)  # nothing is accepted
+        hand = HumanHand(config, 1)
+        log = driven(config, lambda picture, hand=hand: [*hand(picture)[:2], 1])  # never accepts
         mode = log["mode"].to_numpy()
         switch = np.flatnonzero(np.diff(mode))[0] + 1
         stands = (log["suggested_mode"] >= 0) & (log["suggested_mode"] != mode)
         last = np.flatnonzero(~stands[:switch])[-1]
         assert 0.1 * (switch - last - 1) == pytest.approx(notice, abs=0.11), name
     config = drive_of(plan.content, "rest", seed=1)
-    # Everything is accepted.
-    log = drive_rows(config, lambda mode, suggested: mode if suggested < 0 else suggested)
+    log = driven(config, HumanHand(config, 1))  # always does
     standing, expected = 1, [-1] * 1000  # in the first 100 s nothing is suggested
     for value in (10.0 * log["r"] - 5.0 * log["p_h"])[1000:]:
         standing = 0 if value >= 3.0 else 1 if value <= 1.0 else standing
         expected.append(standing)
     assert log["suggested_mode"].tolist() == expected
     assert set(log["mode"]) == {0, 1}
-    session = TASK.session(config, log.to_numpy())
-    assert session.metadata.more["rule"] == {"p_h": -5.0, "r": 10.0}
+    assert config["facts"]["rule"] == {"p_h": -5.0, "r": 10.0}
     plan.rehearse(seed=0)
     measures = recorded(plan).measures
     assert set(measures["condition"]) == {"C3", "slow", "rest"}
