@@ -248,12 +248,9 @@ def test_the_window_that_began_last_drives(team):
     assert len(team.record.pauses) == 1
 
 
-def test_commands_that_nobody_can_give_are_refused(team):
-    good, nan = [0.5, 0.5, 1], float("nan")
-    bad = [[0.5, 0.5, 1.5], [1.01, 0, 1], [0.5, 0.5], [0.5, nan, 1], [True, "1", 1]]
-    for command in (*bad, [10**400, 0, 1], None):
-        with refused(r"cannot be|a command is"):
-            sent(team, 0, None, commands=[good, command])
+def test_messages_that_no_page_sends_are_refused(team):
+    with refused("a command is"):
+        sent(team, 0, None, commands=[[0.5, 0.5, 1], None])
     for k, commands, seen in ((0.0, [], 0), (0, {}, 0), (0, [], None)):
         with refused("a message has"):
             team.take({"k": k, "commands": commands, "seen": seen, "window": "a"})

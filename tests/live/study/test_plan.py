@@ -5,6 +5,7 @@ square of the design.
 
 import json
 import shutil
+from functools import partial
 from unittest.mock import Mock, call
 
 import numpy as np
@@ -12,7 +13,7 @@ import pandas as pd
 import pytest
 
 import trustlab as tl
-from tests.cases import refused
+from tests.cases import model, refused
 from tests.live.cases import recorded
 from trustlab.live.hands import HumanHand
 from trustlab.live.study.__main__ import main
@@ -64,6 +65,8 @@ def test_what_makes_no_study_is_refused_and_nothing_is_left(make_plan, tmp_path)
         with refused(said):
             make_plan(**more)
     assert not (tmp_path / "mystudy").exists()
+    with refused("do not fill whole squares"):
+        tl.LiveStudy(tmp_path / "a", ["C1", "C3"], 3)
     with refused("has other files in it"):
         tl.LiveStudy(tmp_path)
     with refused(r"there is no study\.json in"):
@@ -139,6 +142,17 @@ def test_a_rehearsal_that_was_interrupted_begins_again(make_team_plan, monkeypat
     assert recorded(plan).participants["complete"].all()
 
 
+def test_conditions_that_cannot_be_are_refused():
+    condition = partial(tl.LiveCondition, "a", notice=10.0)
+    for make, given, said in (
+        (condition, "tsc", "notice has no effect without forced=True"),
+        (condition, {"speed": 1.0}, "a signal of suggestions must be one of"),
+        (partial(tl.LiveGroundRobot, "C1", model()), (0.0, 0.3), "thresholds have no effect in C1"),
+    ):
+        with refused(said):
+            make(given)
+
+
 def driven(config, hand):
     """The log of a whole drive."""
     _, rows = scripted_commands(TASK, config, hand)
@@ -150,8 +164,6 @@ def test_conditions_and_courses_of_ones_own_are_driven(make_plan):
     A notice of 10 s and a rule, on another course. Oracles: the time from suggestion to switch in
     the log; the rule written out over the log's columns.
     """
-    with refused("notice has no effect without forced=True"):
-        tl.LiveCondition("a", suggestions="tsc", notice=10.0)
 
     course = tl.testbeds.Course(((0, 0), (9, 0), (9, 9), (0, 9)), radius=2.0)
 

@@ -49,6 +49,15 @@ def test_whole_numbers_are_so_however_they_are_given():
     assert (repr(team["robots"]), repr(team["goals"])) == ("4", "2")
 
 
+def test_commands_that_nobody_can_give_are_refused():
+    task, config, nan = task_named("team"), configured("team"), float("nan")
+    task.check(config, [1.0, -1, 4])
+    bad = [[0.5, 0.5, 1.5], [1.01, 0, 1], [0.5, 0.5], [0.5, nan, 1], [True, "1", 1]]
+    for command in (*bad, [10**400, 0, 1]):
+        with refused(r"cannot be|a command is"):
+            task.check(config, command)
+
+
 def test_a_team_is_that_of_the_loop():
     session, config, commands = a_session("team", "by_hand")
     ring = np.array([[0, 1, 0, 1], [1, 0, 1, 0], [0, 1, 0, 1], [1, 0, 1, 0]], float)
