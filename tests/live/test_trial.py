@@ -294,8 +294,8 @@ def test_a_kernel_that_is_changed_leaves_the_rows_and_verifies_nothing(team, mon
     monkeypatch.setattr("trustlab.live.tasks.team.PULL", 0.13)
     after = team.session()
     assert after.data.equals(before.data)
-    assert not after.metadata.more["verified"]
-    assert after.metadata.more["not_verified"] == "row 0 is not what its commands lead to"
+    said = after.metadata.more
+    assert (said["verified"], said["not_verified"][:12]) == (False, "row 0 is not")
 
 
 def test_another_version_neither_verifies_nor_continues(team, monkeypatch):

@@ -171,7 +171,7 @@ def test_conditions_and_policies_of_ones_own_allocate_and_lead(log):
     begin(drive)
     commanded(drive, [0.3, 0.2, 1], 20)
     assert (drive.session.metadata.condition, drive.verified) == ("slow", True)
-    settings, log = LeadingSettings(robots=3, duration=20.0, least_delay=0.5), f"{log}.b"
+    settings, log = LeadingSettings(robots=3.0, duration=20.0, least_delay=0.5), f"{log}.b"
     live = tl.LiveTeam(InTurn(), settings, log=log)
     assert begin(live)["config"]["late"] == 0.5
     assert commanded(live, [0.0, 0.0, 3], 400)["done"]

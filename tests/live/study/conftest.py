@@ -106,6 +106,7 @@ class Served:
     def __init__(self, plan, server):
         self.plan, self.server = plan, server
         self.base, self.links = server.base, server.links()
+        self.link = self.links.get("P01")
 
     def state(self, code="P01"):
         return ask(f"{self.links[code]}/state")

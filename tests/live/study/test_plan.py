@@ -172,7 +172,7 @@ def test_conditions_and_courses_of_ones_own_are_driven(make_plan):
         slow = tl.LiveCondition("slow", "tsc", forced=True, notice=10 * one)
         weights = {"r": 10 * one, "p_h": -5 * one}  # no sum that lies within [−1, 1]
         rest = tl.LiveCondition("rest", weights, thresholds=(one, 3 * one))
-        options = {"course": course, "laps": 3, "training": 5.0, "rehearsal": True}
+        options = {"course": course, "laps": 3 * one, "training": 5.0, "rehearsal": True}
         options["pages"] = "[identification]\nskip = true"
         return make_plan(["C3", slow, rest], 1, **options)
 

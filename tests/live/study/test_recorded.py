@@ -100,16 +100,16 @@ def test_answers_are_all_there_own_questionnaires_scored_and_checks_of_attention
 
 
 def test_sessions_are_like_any_other_and_the_folder_is_as_it_was(rehearsed):
-    files = rehearsed.plan.folder.rglob
-    before = {path: path.stat().st_mtime_ns for path in files("*")}
-    again = recorded(rehearsed.plan)
+    def written():
+        return {path: path.stat().st_mtime_ns for path in rehearsed.plan.folder.rglob("*")}
+
+    before, again = written(), recorded(rehearsed.plan)
     assert again.measures.equals(rehearsed.measures)
     assert again.measures.attrs == {"origin": rehearsed.origin}
-    assert again.participants.equals(rehearsed.participants)
     about = again.sessions()[0].metadata
     assert about.synthetic
     assert {"verified", "thresholds_from", "performance_window", "lap_times"} <= set(about.more)
-    assert {path: path.stat().st_mtime_ns for path in files("*")} == before
+    assert written() == before
 
 
 def test_the_export_holds_what_the_tables_do_and_says_what_it_means(rehearsed, tmp_path):
@@ -138,14 +138,13 @@ def test_the_export_holds_what_the_tables_do_and_says_what_it_means(rehearsed, t
 
 
 def test_words_are_no_formulas_in_a_spreadsheet(tmp_path):
-    words = ["=1+1", "@SUM(A1)", "-a", "fine"]
-    table = pd.DataFrame({"text": words, "answer": [-1.0, 2.0, 3.0, 4.0]})
+    table = pd.DataFrame({"text": ["=1+1", "@SUM(A1)", "-a", "fine"], "answer": -1.0})
     write_export(tmp_path / "a.zip", {"answers": table}, "A study.")
     archive = zipfile.ZipFile(tmp_path / "a.zip")
-    lines = archive.read("answers.csv").decode().splitlines()
-    assert lines[1:] == ["'=1+1,-1.0", "'@SUM(A1),2.0", "'-a,3.0", "fine,4.0"]
+    lines = archive.read("answers.csv").decode().split()
+    assert lines[1:] == ["'=1+1,-1.0", "'@SUM(A1),-1.0", "'-a,-1.0", "fine,-1.0"]
     whole = pd.read_parquet(io.BytesIO(archive.read("answers.parquet")))
-    assert whole["text"].tolist() == words
+    assert whole["text"].equals(table["text"])
 
 
 # a study of teams

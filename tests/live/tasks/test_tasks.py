@@ -43,12 +43,6 @@ class ByCommand:
         return choice - 1 if choice else now.leader or 0
 
 
-def test_whole_numbers_are_so_however_they_are_given():
-    assert repr(tl.DriveSettings(laps=2.0).laps) == "2"
-    team = tl.live.LeadingSettings(robots=4.0, goals=2.0).as_json()
-    assert (repr(team["robots"]), repr(team["goals"])) == ("4", "2")
-
-
 def test_commands_that_nobody_can_give_are_refused():
     task, config, nan = task_named("team"), configured("team"), float("nan")
     task.check(config, [1.0, -1, 4])
