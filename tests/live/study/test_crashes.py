@@ -5,7 +5,6 @@ there, once and in order.
 Oracle: the client's own list of the rows it sent and of the acknowledgements it got.
 """
 
-import json
 import random
 import socket
 import subprocess
@@ -15,7 +14,7 @@ from contextlib import suppress
 
 import pytest
 
-from tests.live.cases import commands_for, events, record, recorded
+from tests.live.cases import DrivingPage, ask, commands_for, events, record, recorded
 from trustlab.live.study.plan import drive_of, read_tokens
 from trustlab.live.trial import stepped
 from trustlab.trust.dynamics import MODELS
@@ -41,26 +40,28 @@ class Server:
         self.process.stdout.close()
 
 
+LINE = '["0000000000000000", {"commands": [[0.5, 0.25, 1]], "at": 1.0, "seen": 0}]'
+
+
 def plant_torn_line(path, rng):
     """
     Add the beginning of another line, as a machine that loses power in mid-write would leave it.
     """
-    line = json.dumps(["0" * 16, {"commands": [[rng.random()] * 3] * 9, "at": 1.0, "seen": 0}])
     with path.open("a") as file:
-        file.write(line[: rng.randrange(1, len(line))])
+        file.write(LINE[: rng.randrange(1, len(LINE))])
 
 
-def connected(link, driving_page):
+def connected(link):
     """A page that has begun, as soon as the server is there."""
     for _ in range(200):
         with suppress(OSError):
-            page = driving_page(link)
+            page = DrivingPage(link)
             return page, page.begin()["k"]
         time.sleep(0.05)
     raise TimeoutError(link)
 
 
-def kills(plan, client, driving_page, count):
+def kills(plan, count):
     """
     Send commands as a browser does while the server is killed and started again; return those made,
     all of which were acknowledged in the end.
@@ -69,8 +70,8 @@ def kills(plan, client, driving_page, count):
     all_commands = commands_for(drive_of(plan.content, "training"))
     made, killed = [], 0
     server.start()
-    client(f"{server.link}/answers", {"page": 0, "answers": {"consent": True}})
-    page, acknowledged = connected(server.link, driving_page)
+    ask(f"{server.link}/answers", {"page": 0, "answers": {"consent": True}})
+    page, acknowledged = connected(server.link)
     until = time.monotonic() + rng.uniform(0.05, 0.6)
     while killed < count or acknowledged < len(made):
         if killed < count:
@@ -88,7 +89,7 @@ def kills(plan, client, driving_page, count):
             plant_torn_line(plan.folder / "P01" / torn, rng)
         killed += 1
         server.start()
-        page, there = connected(server.link, driving_page)
+        page, there = connected(server.link)
         assert there >= acknowledged  # nothing that was acknowledged is gone
         acknowledged = there
         until = time.monotonic() + rng.uniform(0.05, 0.6)
@@ -98,15 +99,13 @@ def kills(plan, client, driving_page, count):
 
 @pytest.mark.parametrize("count", [2, pytest.param(20, marks=pytest.mark.long)])
 @pytest.mark.parametrize("task", ["ground_robot", "team"])
-def test_kills_at_random_moments_lose_nothing(
-    make_plan, make_team_plan, client, driving_page, task, count
-):
+def test_kills_at_random_moments_lose_nothing(make_plan, make_team_plan, task, count):
     if task == "team":  # with a model of trust of another kind than the printed one
         trust = MODELS["asymmetric"]()
         plan = make_team_plan(training=600.0, rehearsal=False, trust=trust)
     else:
         plan = make_plan(training=600.0)
-    made = kills(plan, client, driving_page, count)
+    made = kills(plan, count)
     log = record(plan)
     assert log.commands == made
     rows = list(stepped(plan.task.begin(log.settings), made))

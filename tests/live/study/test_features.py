@@ -12,7 +12,7 @@ from hypothesis import given, strategies as st
 
 import trustlab as tl
 from tests.cases import refused
-from tests.live.cases import recorded
+from tests.live.cases import ask, recorded
 from trustlab.live.study.participant import Participant, progress_of
 
 # --- features -------------------------------------------------------------------------------------
@@ -56,28 +56,28 @@ def test_groups_are_the_factor_between_subjects(make_team_plan):
     assert effects.to_string().count("group") > 1
 
 
-def test_who_joins_takes_the_next_free_place_and_gets_a_code(make_plan, serving, client):
+def test_who_joins_takes_the_next_free_place_and_gets_a_code(make_plan, serving):
     with serving(make_plan(), enrol=True) as served:
         join = served.overview()["join"]
         served.state("P01")  # somebody reads the page of this place
         for _ in range(5):  # a program that looks at links
-            assert client(join).status == 200
-        places = [client(join, {}) for _ in range(3)]
+            assert ask(join).status == 200
+        places = [ask(join, {}) for _ in range(3)]
         assert [place.status for place in places] == [200, 200, 409]
         links = [served.base + place.json["link"] for place in places[:2]]
         assert links == list(served.links.values())[1:]
         taken = places[0].headers["Set-Cookie"].split("; ")
         assert {"HttpOnly", "SameSite=Strict", "Path=/join"} <= set(taken)
-        again, other_tab = (client(join, body, Cookie=taken[0]) for body in (None, {}))
+        again, other_tab = (ask(join, body, Cookie=taken[0]) for body in (None, {}))
         assert (again.status, again.headers["Location"]) == (302, places[0].json["link"])
         assert other_tab.json == places[0].json
-        assert client(join.replace("/join/", "/p/")).status == 404
+        assert ask(join.replace("/join/", "/p/")).status == 404
         shown = served.withdraw("P02").json["completion"]
     codes = served.study.participants["completion"]
     assert shown == codes[1] != codes[2]
     with serving(served.plan) as served:
         assert served.overview()["join"] == ""
-        assert client(f"{served.base}/join/{join[-22:]}").status == 404
+        assert ask(f"{served.base}/join/{join[-22:]}").status == 404
 
 
 def test_a_study_fixes_a_least_delay_and_marks_who_saw_later(make_team_plan):

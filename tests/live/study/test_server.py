@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from tests.cases import refused
-from tests.live.cases import advance, entries, events, record, recorded
+from tests.live.cases import DrivingPage, advance, ask, entries, events, record, recorded
 from trustlab.live.study.plan import read_tokens, tokens_path
 from trustlab.live.study.server import StudyServer
 
@@ -34,17 +34,17 @@ def kinds(served):
 # --------------------------------------------------------------------------------------------------
 
 
-def test_who_asks_from_elsewhere_changes_nothing(served, client, driving_page):
+def test_who_asks_from_elsewhere_changes_nothing(served):
     import websocket
 
     link, port = served.link, served.server.port
     own, far = f"127.0.0.1:{port}", "attacker.invalid"
     for host in (far, f"{far}:{port}", "127.0.0.1", f"127.0.0.1:{port + 1}"):
-        assert client(f"{link}/state", Host=host).status in (400, 421), host
-    assert client(f"{link}/state", Host=f"localhost:{port}").status == 200
+        assert ask(f"{link}/state", Host=host).status in (400, 421), host
+    assert ask(f"{link}/state", Host=f"localhost:{port}").status == 200
     for origin in (None, "null", f"http://{far}", f"https://{own}", f"http://{own}/"):
         for path in (f"{link}/answers", f"{served.server.experimenter}/act"):
-            assert client(path, CONSENT | END, Origin=origin).status == 403
+            assert ask(path, CONSENT | END, Origin=origin).status == 403
     served.consent()
     for place, options, said in (
         (link, {"origin": f"http://{far}"}, "403"),
@@ -53,24 +53,24 @@ def test_who_asks_from_elsewhere_changes_nothing(served, client, driving_page):
         (served.server.experimenter, {}, "404"),
     ):
         with pytest.raises(websocket.WebSocketBadStatusException, match=said):
-            driving_page(place, **options)
+            DrivingPage(place, **options)
     assert kinds(served) == ["page"]
 
 
-def test_wrong_tokens_lead_nowhere(served, client):
+def test_wrong_tokens_lead_nowhere(served):
     tokens = read_tokens(served.plan.folder)
     token, experimenter = tokens["P01"], tokens[".experimenter"]
     near = [token.swapcase(), token[:-1], f"{token}x", f"{token[:-1]}{'BA'[token[-1] == 'B']}"]
     wrong = [f"p/{each}" for each in (*near, experimenter, "P01", "")]
     for place in (*wrong, f"experimenter/{token}"):
         for path, body in (("", None), ("/state", None), ("/answers", CONSENT), ("/act", END)):
-            assert client(f"{served.base}/{place}{path}", body).status == 404, place
+            assert ask(f"{served.base}/{place}{path}", body).status == 404, place
     assert kinds(served) == []
 
 
-def test_paths_lead_to_no_other_file(served, client):
+def test_paths_lead_to_no_other_file(served):
     token = read_tokens(served.plan.folder)["P01"]
-    assert client(f"{served.base}/static/page.js").status == 200
+    assert ask(f"{served.base}/static/page.js").status == 200
     for path in (
         "/static/../study/plan.py",
         "/static/%2e%2e/study/plan.py",
@@ -82,15 +82,15 @@ def test_paths_lead_to_no_other_file(served, client):
         "/",
     ):
         for body in (None, {}):
-            answer = client(served.base, body, path)
+            answer = ask(served.base, body, path)
             assert answer.status in (400, 404, 405), (path, answer.status)
             assert token.encode() not in answer.content
 
 
-def test_answers_tell_browsers_to_run_and_fetch_nothing_else(served, client):
+def test_answers_tell_browsers_to_run_and_fetch_nothing_else(served):
     link, base = served.link, served.base
     for path in (link, f"{link}/state", f"{base}/static/page.js", f"{base}/none"):
-        headers = client(path).headers
+        headers = ask(path).headers
         policy = headers["Content-Security-Policy"]
         assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self';")
         assert "unsafe-inline" not in policy
@@ -103,15 +103,15 @@ def test_answers_tell_browsers_to_run_and_fetch_nothing_else(served, client):
     assert tokens_path(served.plan.folder).stat().st_mode & 0o777 == 0o600
 
 
-def test_the_participant_is_told_no_condition(served, client, page, driving_page):
+def test_the_participant_is_told_no_condition(served, page):
     link, participant = served.link, served.server.participant("P01")
     said = [served.state().json, page.drive(0, 5)]
     number = advance(participant, "drive")
     stand_in = served.plan.content["stand_in"]
     participant.add("model", page=2, attempt=0, source="", why="", **stand_in)
-    said += [served.state().json, driving_page(link, number).begin()]
+    said += [served.state().json, DrivingPage(link, number).begin()]
     assert "columns" in said[-1]["config"]
-    assert not re.search(r"\bC[1-5]\b", json.dumps(said) + str(client(link).content))
+    assert not re.search(r"\bC[1-5]\b", json.dumps(said) + str(ask(link).content))
     drive = record(served.plan, name=f"{number:02d}-drive")
     assert drive.header["condition"] == served.plan.orders["P01"][0]  # the lab knows
 
@@ -170,9 +170,9 @@ def test_a_disk_that_is_full_acknowledges_nothing(served, page, full_disk, caplo
     assert "is saved again" in caplog.text
 
 
-def test_a_slow_disk_holds_up_its_own_log_only(served, page, driving_page, monkeypatch):
+def test_a_slow_disk_holds_up_its_own_log_only(served, page, monkeypatch):
     served.consent("P02")
-    other = driving_page(served.links["P02"])
+    other = DrivingPage(served.links["P02"])
     other.begin()
     slow, sync = served.server.participant("P01").trial.log.handle, os.fsync
     done = Event()
@@ -212,7 +212,7 @@ def test_a_failed_start_lets_the_study_go(make_plan):
 
 
 @pytest.mark.parametrize("lost", ["lines", "file", "folder"])
-def test_events_that_were_lost_are_not_gone_on_behind(make_plan, serving, client, lost):
+def test_events_that_were_lost_are_not_gone_on_behind(make_plan, serving, lost):
     """Else the last link would be written anew, and nobody could see that there had been more."""
     plan = make_plan()
     with serving(plan) as served:
@@ -227,7 +227,7 @@ def test_events_that_were_lost_are_not_gone_on_behind(make_plan, serving, client
     if lost == "folder":
         folder.rmdir()
     with serving(plan) as served:
-        answer = client(f"{served.base}/p/{read_tokens(plan.folder)['P01']}/state")
+        answer = ask(f"{served.base}/p/{read_tokens(plan.folder)['P01']}/state")
         assert (answer.status, "cannot go on here" in answer.json["error"]) == (409, True)
         assert served.state("P02").status == 200  # the others go on
         assert (
@@ -240,13 +240,13 @@ def test_events_that_were_lost_are_not_gone_on_behind(make_plan, serving, client
         assert served.link
 
 
-def test_enrolment_and_requests_at_once_break_no_log(make_plan, serving, client):
+def test_enrolment_and_requests_at_once_break_no_log(make_plan, serving):
     with serving(make_plan(participants=20), enrol=True) as served:
         join, barrier = served.overview()["join"], Barrier(40)
 
         def both(k):
             barrier.wait()
-            return client(join, {}) if k % 2 else served.consent(f"P{1 + k // 2:02d}")
+            return ask(join, {}) if k % 2 else served.consent(f"P{1 + k // 2:02d}")
 
         with ThreadPoolExecutor(40) as pool:
             list(pool.map(both, range(40)))
@@ -254,7 +254,7 @@ def test_enrolment_and_requests_at_once_break_no_log(make_plan, serving, client)
     assert all(len(each.events) in (1, 2) for each in served.study.records.values())
 
 
-def test_only_a_proxy_leads_people_here_from_other_machines(make_plan, client):
+def test_only_a_proxy_leads_people_here_from_other_machines(make_plan):
     plan = make_plan()
     for wrong in ("https://lab.test/study", "ftp://lab.test", "https://me:pw@lab.test", 5):
         with refused("url must be like https://study"):
@@ -265,24 +265,24 @@ def test_only_a_proxy_leads_people_here_from_other_machines(make_plan, client):
         link = server.links()["P01"]
         assert link.startswith("https://lab.test/p/")
         here = link.replace("https://lab.test", f"http://127.0.0.1:{server.port}")
-        assert client(f"{here}/state", Host="lab.test").status == 200
+        assert ask(f"{here}/state", Host="lab.test").status == 200
         body = {"Host": "lab.test", "Origin": "https://lab.test"}
-        assert client(f"{here}/answers", CONSENT, **body).status == 200
+        assert ask(f"{here}/answers", CONSENT, **body).status == 200
 
 
-def test_all_that_people_see_is_in_the_language_of_the_study(make_plan, serving, client):
+def test_all_that_people_see_is_in_the_language_of_the_study(make_plan, serving):
     plan = make_plan(participants=1, language="de")
     (plan.folder / "P01" / "events.jsonl").write_text('["0", {}]\n')
     with serving(plan, enrol=True) as served:
         join, token = served.overview()["join"], read_tokens(plan.folder)["P01"]
-        page = client(join).content.decode()
+        page = ask(join).content.decode()
         for words in ('<html lang="de">', "<title>Eine Studie</title>", "Studie öffnen"):
             assert words in page
-        lost = client(f"{served.base}/p/{'x' * 22}", Accept="text/html").content.decode()
+        lost = ask(f"{served.base}/p/{'x' * 22}", Accept="text/html").content.decode()
         assert lost.count("Dieser Link führt zu keiner Studie") == 2
         for answer, said in (
-            (client(join, {}), "Alle Plätze dieser Studie sind vergeben"),
-            (client(f"{served.base}/p/{token}/state"), "Die Studie kann hier nicht weitergehen"),
+            (ask(join, {}), "Alle Plätze dieser Studie sind vergeben"),
+            (ask(f"{served.base}/p/{token}/state"), "Die Studie kann hier nicht weitergehen"),
         ):
             assert answer.json["error"].startswith(said)
 
@@ -302,12 +302,12 @@ def test_a_page_that_is_left_while_it_is_answered_is_no_mistake(page, monkeypatc
 # --------------------------------------------------------------------------------------------------
 
 
-def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, page, driving_page):
+def test_the_experimenter_restarts_a_drive_and_the_old_one_is_kept(served, page):
     page.drive(0, 5)
     for number, status in ((0, 400), (2, 400), ([1], 400), (1, 200)):  # no drive, not begun, begun
         assert served.act("restart", page=number).status == status
     assert page.drive(5, 5) == {"done": True}
-    begun = driving_page(served.link).begin()
+    begun = DrivingPage(served.link).begin()
     assert (begun["k"], begun["config"]["attempt"]) == (0, 1)
     first, second = record(served.plan), record(served.plan, name="01-training.2")
     assert (len(first.rows), first.end) == (5, "the experimenter let it be driven again")
@@ -362,10 +362,10 @@ def test_people_decline_and_withdraw(served, page):
     assert table == [person["withdrawn"] for person in people] == [True, True, False]
 
 
-def test_who_is_deleted_while_the_study_is_served_is_gone(served, client, page):
+def test_who_is_deleted_while_the_study_is_served_is_gone(served, page):
     page.drive(0, 5)
     served.plan.delete("P01")
-    assert client(served.link).status == served.state().status == 404
+    assert ask(served.link).status == served.state().status == 404
     assert page.drive(5, 5) == {"done": True}
     assert not (served.plan.folder / "P01").exists()
     seen = served.overview()
@@ -375,16 +375,14 @@ def test_who_is_deleted_while_the_study_is_served_is_gone(served, client, page):
     assert "1 deleted" in study.summary()
 
 
-def test_nothing_about_a_person_who_drove_is_kept_but_what_the_documentation_lists(
-    served, driving_page
-):
+def test_nothing_about_a_person_who_drove_is_kept_but_what_the_documentation_lists(served):
     """
     Names of everything that an event or a log may hold; a new one belongs into the documentation
     first.
     """
     browser = {"User-Agent": "Mozilla/5.0 (secret)", "X-Real-IP": "10.1.2.3", "Cookie": "a=b"}
     served.consent(**browser)
-    page = driving_page(served.link, header=browser)
+    page = DrivingPage(served.link, header=browser)
     page.begin()
     page.drive(0, 5)
     page.say(note="paused")
@@ -420,13 +418,13 @@ def nonsense(rng, depth=0):
 
 
 @pytest.mark.parametrize("count", [300, pytest.param(1500, marks=pytest.mark.long)])
-def test_random_bodies_and_messages_make_no_mistake(served, client, page, count):
+def test_random_bodies_and_messages_make_no_mistake(served, page, count):
     """What is refused is refused by a number below 500, and lets nothing in."""
     rng = np.random.default_rng(0)
     other, base = served.links["P02"], served.base
     links = [f"{other}/answers", f"{served.server.experimenter}/act", f"{other}/x"]
     links += [f"{base}/join/{'x' * 22}", f"{base}/p/{'y' * 22}/answers"]
-    assert max(client(links[k % 5], nonsense(rng)).status for k in range(count)) < 500
+    assert max(ask(links[k % 5], nonsense(rng)).status for k in range(count)) < 500
     assert "This page cannot go on" in page.drive(0, 1, [9.0, 0.1, 1])["refused"]
     texts = ["", "{", "[]", "3", '{"k": NaN}', "[" * 5000, '"\\ud83d"']
     for text in [*texts, *(json.dumps(nonsense(rng)) for _ in range(count))]:
