@@ -1,5 +1,6 @@
 """The browser's modules, linted and run in node. Oracle: what the tests in JavaScript state."""
 
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -26,23 +27,18 @@ def modules(tmp_path_factory):
 
 @pytest.mark.skipif(ESLINT is None, reason="needs eslint: npm ci --prefix tests/live/javascript")
 def test_modules_are_linted(modules):
+    """A fault is found where it was put, and nowhere else."""
     shutil.copy(HERE / "eslint.config.js", modules)
     (modules / "node_modules").symlink_to(PACKAGES)
+    (modules / "fault.js").write_text("let unused = undeclared;\n")
     command = [ESLINT, "--max-warnings=0", "."]
-    done = subprocess.run(command, cwd=modules, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    fault = modules / "fault.js"
-    fault.write_text("let unused = undeclared;\n")
-    done = subprocess.run(command, cwd=modules, capture_output=True, text=True)
-    fault.unlink()
-    assert "no-undef" in done.stdout, "the linter sees what it should"
+    said = subprocess.run(command, cwd=modules, capture_output=True, text=True).stdout
+    assert "no-undef" in said
+    assert re.findall(r"(\S+\.js)$", said, re.M) == [str(modules / "fault.js")], said
 
 
 @pytest.mark.skipif(NODE is None, reason="needs node: apt-get install nodejs")
-@pytest.mark.parametrize("name", ["hands", "view", "playout", "socket", "play"])
-def test_modules_in_node(modules, name):
-    done = subprocess.run(
-        [NODE, "--test", f"{name}.test.js"], cwd=modules, capture_output=True, text=True
-    )
+def test_modules_in_node(modules):
+    done = subprocess.run([NODE, "--test"], cwd=modules, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "# fail 0" in done.stdout or "ℹ fail 0" in done.stdout
+    assert re.search("[#ℹ] pass [1-9]", done.stdout), "some were found"

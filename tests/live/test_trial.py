@@ -14,6 +14,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import example, given, settings as budget, strategies as st
 
+from tests.cases import refused
 from tests.live.cases import commands_for, configured, stepped
 from trustlab.live import trial as trials
 from trustlab.live.log import Log, LogError, read_log
@@ -30,6 +31,11 @@ ENTRIES = st.lists(
     ),
     max_size=6,
 )
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "a.jsonl"
 
 
 def logged(folders, entries):
@@ -72,110 +78,97 @@ def test_every_bit_that_is_changed_is_found(entries, place, bit, tmp_path_factor
     assert path.stat().st_size >= data[:-1].rfind(b"\n") + 1
 
 
-def test_a_disk_that_is_full_takes_half_a_line_back(tmp_path):
+def test_a_disk_that_is_full_takes_half_a_line_back(path):
     """A limit on a file's size, as a real disk sets it: the write stops in the middle of a line."""
-    path = tmp_path / "rows.jsonl"
     log = Log(path, "a")
     log.append([[0]])
     size = path.stat().st_size
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    limit = resource.RLIMIT_FSIZE
+    before = resource.getrlimit(limit)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size + 30, before[1]))
+        resource.setrlimit(limit, (size + 30, before[1]))
         with pytest.raises(OSError):
             log.append([[k, 0.25] for k in range(20)])
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        resource.setrlimit(limit, before)
         signal.signal(signal.SIGXFSZ, handler)
     assert path.stat().st_size == size
     log.append([[1]])
     assert read_log(path, "a").entries == [[0], [1]]
 
 
-def test_only_logs_that_nothing_else_tells_of_may_be_moved_away(tmp_path):
-    path = tmp_path / "rows.jsonl"
-    path.write_text("x\n")
-    with pytest.raises(LogError, match=r"restore it from a copy, or move it away$"):
+def test_a_log_has_one_writer_and_is_moved_away_only_where_nothing_else_tells_of_it(path):
+    log = Log(path)
+    with refused("is being written; end that first"):
         Log(path)
-    with pytest.raises(LogError, match=r"restore it from a copy$"):
-        Log(path, "of a study")
+    log.close()
+    path.write_text("x\n")
+    for origin, remedy in (("", "from a copy, or move it away"), ("of a study", "from a copy")):
+        with refused(f"restore it {remedy}$"):
+            Log(path, origin)
 
 
-def test_the_name_of_a_new_log_is_on_the_disk(tmp_path, monkeypatch):
+def test_the_name_of_a_new_log_is_on_the_disk(path, monkeypatch):
     synced = []
     monkeypatch.setattr("trustlab.live.log.sync_folder", synced.append)
-    (tmp_path / "rows.jsonl").touch()  # by who was killed before the folder was written
+    path.touch()  # by who was killed before the folder was written
     for _ in range(2):
-        log = Log(tmp_path / "rows.jsonl")
+        log = Log(path)
         log.append([0])
         log.close()
-    assert synced == [tmp_path]
-
-
-def test_one_handle_holds_a_log(tmp_path):
-    first = Log(tmp_path / "rows.jsonl")
-    with pytest.raises(LogError, match="is being written; end that first"):
-        Log(tmp_path / "rows.jsonl")
-    first.close()
-    Log(tmp_path / "rows.jsonl").close()
+    assert synced == [path.parent]
 
 
 # --- the trial ------------------------------------------------------------------------------------
 
 
-TEAM = task_named("team")
-
-
 def begun(path, name="team"):
-    config = configured(name, **{} if name == "ground_robot" else {"duration": 4.0})
-    trial = Trial(path, task_named(name), config, participant="me")
+    """A trial that has begun in window a."""
+    trial = Trial(path, task_named(name), configured(name), participant="me")
     trial.take({"begin": True, "window": "a"})
-    return trial, commands_for(config)
-
-
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "a.jsonl"
+    return trial
 
 
 @pytest.fixture
 def team(path):
-    """A trial of a team that has begun, and the commands of a whole run."""
     return begun(path)
 
 
-def sent(trial, k, commands, window="a", seen=0):
-    return trial.take({"k": k, "commands": commands, "seen": seen, "window": window})
+def sent(trial, first, end, window="a", seen=0, commands=None):
+    """What a trial answers to random commands, of the numbers from first to end."""
+    commands = commands or commands_for(trial.settings)[max(first, 0) : end]
+    return trial.take({"k": first, "commands": commands, "seen": seen, "window": window})
+
+
+def opened_again(trial):
+    """The trial after its writer was killed, begun in window b."""
+    trial.log.close()
+    again = Trial(trial.log.path, trial.task, {})
+    again.take({"begin": True, "window": "b"})
+    return again
 
 
 @pytest.mark.parametrize("name", ["ground_robot", "teleoperation", "team"])
 def test_rows_are_those_of_the_task_and_a_restart_is_a_replay(path, name):
-    trial, commands = begun(path, name)
-    task = task_named(name)
+    trial = begun(path, name)
     for k in range(0, 30, 3):
-        assert sent(trial, k, commands[k : k + 3])["k"] == k + 3
-    expected = stepped(trial.settings, commands[:30]).tolist()
-    assert trial.rows == expected
-    trial.log.close()
-    again = Trial(path, task, {})
-    assert again.rows == expected
-    assert again.settings == trial.settings
-    again.take({"begin": True, "window": "b"})
-    answer = sent(again, 30, commands[30:], "b")
-    assert answer["done"]
+        assert sent(trial, k, k + 3)["k"] == k + 3
+    expected = stepped(trial.settings, trial.record.commands).tolist()
+    assert (len(expected), trial.rows) == (30, expected)
+    again = opened_again(trial)
+    assert (again.rows, again.settings) == (expected, trial.settings)
+    assert sent(again, 30, None, "b")["done"]
     assert again.fault == ""
     record, _, fault = read_record(path)
-    assert fault == record.fault(task) == ""
+    assert fault == record.fault(trial.task) == ""
     assert record.rows == again.rows
     assert len(again.session(participant="me")) == len(record.rows)
     assert record.pauses[-1]["why"] == "begun again"
 
 
-def test_a_command_is_on_the_disk_before_it_is_done_and_its_row_with_the_next(
-    path, team, monkeypatch
-):
-    trial, commands = team
-    done, step = [], trial.run.step
+def test_a_command_is_on_the_disk_before_it_is_done_and_its_row_with_the_next(team, monkeypatch):
+    path, done, step = team.log.path, [], team.run.step
 
     def noted(*command):
         *_, last = read_log(path).entries
@@ -183,173 +176,142 @@ def test_a_command_is_on_the_disk_before_it_is_done_and_its_row_with_the_next(
         done.append(step(*command))
         return done[-1]
 
-    monkeypatch.setattr(trial.run, "step", noted)
+    monkeypatch.setattr(team.run, "step", noted)
     for k in range(5):
-        sent(trial, k, commands[k : k + 1])
+        sent(team, k, k + 1)
         record, _, _ = read_record(path)
         assert record.rows == done[:k]
-        assert record.commands == commands[: k + 1]
+        assert record.commands == commands_for(team.settings)[: k + 1]
 
 
 @budget(max_examples=25, deadline=None)
 @given(st.data())
 def test_a_kill_at_any_byte_loses_nothing_that_was_acknowledged(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("t") / "a.jsonl"
-    trial, commands = begun(path)
+    trial, k = begun(path), 0
     sizes = [(path.stat().st_size, 0)]
-    k = 0
     while k < 12:
-        count = data.draw(st.integers(1, 4))
-        k = sent(trial, k, commands[k : k + count])["k"]
+        k = sent(trial, k, k + data.draw(st.integers(1, 4)))["k"]
         sizes.append((path.stat().st_size, k))
     trial.log.close()
     first, last = sizes[0][0], path.stat().st_size
     cut = first + round(data.draw(st.floats(0.0, 1.0)) * (last - first))
     os.truncate(path, cut)
-    again = Trial(path, TEAM, {})
+    again = opened_again(trial)
     assert len(again.rows) == max(acknowledged for size, acknowledged in sizes if size <= cut)
-    again.take({"begin": True, "window": "b"})
-    sent(again, len(again.rows), commands[len(again.rows) :], "b")
-    assert again.rows == stepped(again.settings, commands).tolist()
+    sent(again, len(again.rows), None, "b")
+    assert again.rows == stepped(again.settings, commands_for(again.settings)).tolist()
     assert again.fault == ""
 
 
 def test_commands_that_come_twice_are_done_once_and_a_gap_waits(team):
-    trial, commands = team
-    assert sent(trial, 0, commands[:10])["k"] == 10
-    assert sent(trial, 4, commands[4:15])["k"] == 15
-    assert sent(trial, 20, commands[20:25])["k"] == 15
-    assert sent(trial, -1, commands[:2])["k"] == 15
-    assert trial.record.commands == commands[:15]
-    assert sent(trial, 15, commands[15:] + commands)["done"], "what lies beyond the end is left out"
-    assert len(trial.rows) == trial.settings["samples"]
-    assert sent(trial, 80, commands[:3])["k"] == 80
+    for first, end, there in ((0, 10, 10), (4, 15, 15), (20, 25, 15), (-1, 2, 15)):
+        assert sent(team, first, end)["k"] == there
+    commands = commands_for(team.settings)
+    assert team.record.commands == commands[:15]
+    beyond = commands[15:] + commands
+    assert sent(team, 15, None, commands=beyond)["done"], "what lies beyond the end is left out"
+    assert len(team.rows) == team.settings["samples"]
+    assert sent(team, 80, None, commands=commands[:3])["k"] == 80
 
 
 def test_an_own_part_that_fails_ends_the_drive_and_leaves_the_log(path, team, monkeypatch):
-    trial, commands = team
-    step = trial.run.step
+    step = team.run.step
 
     def fails(*command):
-        if len(trial.rows) == 3:
+        if len(team.rows) == 3:
             raise RuntimeError("no leader")
         return step(*command)
 
-    monkeypatch.setattr(trial.run, "step", fails)
+    monkeypatch.setattr(team.run, "step", fails)
     with pytest.raises(RuntimeError, match="no leader"):
-        sent(trial, 0, commands[:5])
-    assert sent(trial, 3, commands[3:8])["done"]
-    assert (trial.record.commands, len(trial.record.rows)) == (commands[:5], 3)
-    assert trial.record.end == "stopped: no leader"
+        sent(team, 0, 5)
+    assert sent(team, 3, 8)["done"]
+    assert (len(team.record.commands), len(team.record.rows)) == (5, 3)
+    assert team.record.end == "stopped: no leader"
 
     def begin(settings):
         raise RuntimeError("no policy")
 
     path = path.with_name("other.jsonl")
     with pytest.raises(RuntimeError, match="no policy") as kept:  # with its traceback, as notebooks
-        Trial(path, replace(trial.task, begin=begin), trial.settings)
+        Trial(path, replace(team.task, begin=begin), team.settings)
     assert kept.tb is not None
-    assert not Trial(path, trial.task, trial.settings).done
+    assert not Trial(path, team.task, team.settings).done
 
 
 def test_the_window_that_began_last_drives(team):
-    trial, commands = team
-    sent(trial, 0, commands[:5])
-    assert trial.take({"begin": True, "window": "second"})["k"] == 5
-    for message in ({"k": 5, "commands": commands[5:6], "seen": 0}, {"note": "x"}):
-        assert trial.take(message | {"window": "a"}) == {"other_window": True}
-    assert sent(trial, 5, commands[5:9], "second")["k"] == 9
-    assert len(trial.record.pauses) == 1
+    sent(team, 0, 5)
+    assert team.take({"begin": True, "window": "b"})["k"] == 5
+    assert sent(team, 5, 6) == team.take({"note": "x", "window": "a"}) == {"other_window": True}
+    assert sent(team, 5, 9, "b")["k"] == 9
+    assert len(team.record.pauses) == 1
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        [0.5, 0.5, 1.5],
-        [1.01, 0, 1],
-        [0.5, 0.5],
-        [0.5, float("nan"), 1],
-        [True, "1", 1],
-        [10**400, 0, 1],
-        None,
-    ],
-)
-def test_commands_that_nobody_can_give_are_refused(team, command):
-    trial, commands = team
-    with pytest.raises(ValueError, match=r"cannot be|a command is"):
-        sent(trial, 0, [commands[0], command])
-    for message in ({"k": 0.0, "commands": []}, {"k": 0, "commands": {}}, {"k": 0, "commands": []}):
-        with pytest.raises(ValueError, match="a message has"):
-            trial.take(message | {"window": "a", "seen": None})
-    assert trial.rows == []
-    assert sent(trial, 0, commands[:1])["k"] == 1
+def test_messages_that_no_page_sends_are_refused(team):
+    with refused("a command is"):
+        sent(team, 0, None, commands=[[0.5, 0.5, 1], None])
+    for k, commands, seen in ((0.0, [], 0), (0, {}, 0), (0, [], None)):
+        with refused("a message has"):
+            team.take({"k": k, "commands": commands, "seen": seen, "window": "a"})
+    assert team.rows == []
+    assert sent(team, 0, 1)["k"] == 1
 
 
 def test_pauses_and_what_was_seen_come_from_the_log(path, monkeypatch):
     now = [100.0]
     monkeypatch.setattr(trials.time, "monotonic", lambda: now[0])
-    trial, commands = begun(path)
+    trial = begun(path)
     for k in range(10):
         now[0] += 0.05
-        sent(trial, k, commands[k : k + 1], seen=max(k - 3, 0))
+        sent(trial, k, k + 1, seen=max(k - 3, 0))
     now[0] += 2.0
-    sent(trial, 10, commands[10:12], seen=7)
+    sent(trial, 10, 12, seen=7)
     trial.take({"note": "the page is hidden", "window": "a"})
     now[0] += 0.3
-    sent(trial, 12, commands[12:13], seen=9)
+    sent(trial, 12, 13, seen=9)
     more = trial.session().metadata.more
-    pauses = [(p["row"], p["seconds"], p["why"]) for p in more["pauses"]]
+    pauses = [tuple(pause.values()) for pause in more["pauses"]]
     assert pauses == [(10, 2.0, "nothing was heard"), (12, 0.3, "the page is hidden")]
     assert more["period_median"] == pytest.approx(0.05, abs=2e-3)
     assert more["delay"] == pytest.approx(0.15)
 
 
-def test_a_clock_set_back_loses_nothing_and_makes_no_pause_of_less_than_nothing(path, monkeypatch):
-    trial, commands = begun(path)
-    sent(trial, 0, commands[:10])
+def test_a_clock_set_back_loses_nothing_and_makes_no_pause_of_less_than_nothing(team, monkeypatch):
+    sent(team, 0, 20)
     real = trials.time.time
     monkeypatch.setattr(trials.time, "time", lambda: real() - 3600.0)
-    sent(trial, 10, commands[10:20])
-    trial.log.close()
-    again = Trial(path, TEAM, {})
-    again.take({"begin": True, "window": "b"})
-    sent(again, 20, commands[20:], "b")
-    assert (again.record.commands, again.fault) == (commands, "")
+    again = opened_again(team)
+    assert sent(again, 20, None, "b")["done"]
+    assert again.fault == ""
     assert again.record.pauses == [{"row": 20, "seconds": 0.0, "why": "begun again"}]
 
 
-def test_a_kernel_that_is_changed_leaves_the_rows_and_verifies_nothing(path, team, monkeypatch):
-    trial, commands = team
-    sent(trial, 0, commands)
-    assert trial.done
-    before = trial.session()
+def test_a_kernel_that_is_changed_leaves_the_rows_and_verifies_nothing(team, monkeypatch):
+    assert sent(team, 0, None)["done"]
+    before = team.session()
     assert before.metadata.more["verified"]
     monkeypatch.setattr("trustlab.live.tasks.team.PULL", 0.13)
-    after = trial.session()
+    after = team.session()
     assert after.data.equals(before.data)
-    assert not after.metadata.more["verified"]
-    assert after.metadata.more["not_verified"] == "row 0 is not what its commands lead to"
+    said = after.metadata.more
+    assert (said["verified"], said["not_verified"][:12]) == (False, "row 0 is not")
 
 
-def test_another_version_neither_verifies_nor_continues(path, team, monkeypatch):
-    trial, commands = team
-    sent(trial, 0, commands[:5])
-    trial.log.close()
+def test_another_version_neither_verifies_nor_continues(team, monkeypatch):
+    sent(team, 0, 5)
     other = made_by() | {"sources": "0" * 16}
     monkeypatch.setattr(trials, "made_by", lambda: other)
-    record, *_ = read_record(path)
-    assert record.fault(TEAM).startswith(f"made by trustlab {other['version']} (sour")
-    with pytest.raises(LogError, match="continued by the version that began it alone"):
-        Trial(path, TEAM, {})
+    assert team.record.fault(team.task).startswith(f"made by trustlab {other['version']} (sour")
+    with refused("continued by the version that began it alone"):
+        opened_again(team)
 
 
-def test_a_row_that_was_not_computed_is_found(path, team):
+def test_a_row_that_was_not_computed_is_found(team):
     """But not another processor's last digits."""
-    trial, commands = team
-    sent(trial, 0, commands[:40])
-    sent(trial, 40, commands[40:41])
-    trial.log.close()
-    record, *_ = read_record(path)
+    sent(team, 0, 40)
+    sent(team, 40, 41)
+    record, *_ = read_record(team.log.path)
     leader = record.settings["columns"].index("leader")
     found = "row 7 is not what its commands lead to"
     for column, by, fault in (
@@ -360,10 +322,10 @@ def test_a_row_that_was_not_computed_is_found(path, team):
     ):
         true = record.rows[7][column]
         record.rows[7][column] += by
-        assert record.fault(TEAM) == fault, column
+        assert record.fault(team.task) == fault, column
         record.rows[7][column] = true
     record.rows += [record.rows[-1]] * 10
-    assert record.fault(TEAM) == "row 41 has no command"
+    assert record.fault(team.task) == "row 41 has no command"
 
 
 @pytest.mark.parametrize(("text", "fault"), [("", "does not hold a drive"), ("x\n", "line 1")])

@@ -1,103 +1,40 @@
-"""A small study, its server, and a client that asks as a browser does, or as one should not."""
+"""A small study and its server."""
 
-import http.client
-import json
 import warnings
 from contextlib import contextmanager
-from types import SimpleNamespace
-from urllib.parse import urlsplit
 
 import pytest
 
 import trustlab as tl
+from tests.live.cases import DrivingPage, ask, recorded, written
 from trustlab.live.study.server import StudyServer
 
 SHORT = {"laps": 1, "training": 10.0, "identification": [(1, 20.0), (0, 20.0)]}
 
 
-def ask(url, body=None, *, host=None, path=None, **headers):
-    """
-    One request, as a page of the study would send it but for what is given; returns status, headers
-    and JSON or bytes.
-    """
-    place = urlsplit(url)
-    link = http.client.HTTPConnection(place.hostname, place.port, timeout=60)
-    own, data = {"Host": host or place.netloc}, None
-    if body is not None:
-        data = body if isinstance(body, bytes) else json.dumps(body).encode()
-        own |= {"Content-Type": "application/json", "Origin": f"http://{place.netloc}"}
-    own |= {name.replace("_", "-"): value for name, value in headers.items()}
-    sent = {name: value for name, value in own.items() if value is not None}
-    try:
-        link.request("GET" if data is None else "POST", path or place.path, data, sent)
-        answer = link.getresponse()
-        content = answer.read()
-    except (ConnectionError, http.client.HTTPException):
-        return SimpleNamespace(status=0, headers={}, content=b"", json={})
-    finally:
-        link.close()
-    json_sent = content and "json" in answer.headers.get("Content-Type", "")
-    return SimpleNamespace(
-        status=answer.status,
-        headers=answer.headers,
-        content=content,
-        json=json.loads(content) if json_sent else {},
-    )
-
-
-@pytest.fixture(scope="session")
-def client():
-    return ask
-
-
-class DrivingPage:
-    """A page that drives over a WebSocket; `origin` and `host` as a browser would say them."""
-
-    def __init__(self, link, page=1, window="a", **options):
-        websocket = pytest.importorskip("websocket")
-        place = urlsplit(link)
-        url = f"ws://{place.netloc}{place.path}/drive/{page}"
-        options = {"origin": f"http://{place.netloc}", "timeout": 60} | options
-        self.window, self.socket = window, websocket.create_connection(url, **options)
-
-    def say(self, **message):
-        """Send a message, and return its answer."""
-        self.socket.send(json.dumps({"window": self.window} | message))
-        return json.loads(self.socket.recv())
-
-    def begin(self):
-        return self.say(begin=True)
-
-    def drive(self, k, count, command=(0.3, 0.1, 1)):
-        return self.say(k=k, commands=[list(command)] * count, seen=max(k - 2, 0))
-
-
-@pytest.fixture(scope="session")
-def driving_page():
-    return DrivingPage
-
-
 @pytest.fixture
 def make_plan(tmp_path):
-    """A function that plans a small study: two conditions, three participants, short drives."""
+    """
+    A function that plans a small study, with pages of one's own: two conditions, three
+    participants, short drives.
+    """
 
-    def make(conditions=("C1", "C3"), participants=3, name="mystudy", **options):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            options = {"whole_squares": False, **SHORT, **options}
-            return tl.LiveStudy(tmp_path / name, list(conditions), participants, **options)
+    def make(conditions=("C1", "C3"), participants=3, pages="", short=SHORT, **options):
+        options = {"whole_squares": False, "pages": written(tmp_path, pages), **short, **options}
+        with warnings.catch_warnings(action="ignore"):
+            return tl.LiveStudy(tmp_path / "mystudy", list(conditions), participants, **options)
 
     return make
 
 
 @pytest.fixture
-def make_team_plan(tmp_path):
+def make_team_plan(make_plan):
     """A function that plans a rehearsal: two conditions, teams that are led for two seconds."""
 
     def make(participants=2, **options):
         conditions = ["by_hand", "most_trusted"]
-        options = {"duration": 2.0, "training": 1.0, "rehearsal": True, **options}
-        return tl.LiveStudy(tmp_path / "team", conditions, participants, task="team", **options)
+        short = {"duration": 2.0, "training": 1.0, "rehearsal": True, "task": "team"}
+        return make_plan(conditions, participants, short=short, **options)
 
     return make
 
@@ -108,6 +45,7 @@ class Served:
     def __init__(self, plan, server):
         self.plan, self.server = plan, server
         self.base, self.links = server.base, server.links()
+        self.link = self.links.get("P01")
 
     def state(self, code="P01"):
         return ask(f"{self.links[code]}/state")
@@ -125,6 +63,10 @@ class Served:
 
     def overview(self):
         return ask(f"{self.server.experimenter}/state").json
+
+    @property
+    def study(self):
+        return recorded(self.plan)
 
 
 @pytest.fixture

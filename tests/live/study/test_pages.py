@@ -9,6 +9,8 @@ from dataclasses import asdict
 
 import pytest
 
+from tests.cases import refused
+from tests.live.cases import written
 from trustlab.live.study.pages import (
     LANGUAGES,
     AnswerError,
@@ -20,7 +22,7 @@ from trustlab.live.study.pages import (
 
 OWN = """
 [consent]
-title = "Einverständnis"
+title = "Einverständnis {number}"
 
 [hours]
 after = "consent"
@@ -32,14 +34,26 @@ high = 5
 items = [
     {name = "games", text = "I often play driving games."},
     {name = "late", text = "I react late.", reversed = true},
+    {name = "attention", text = "Mark 3 here.", expected = 3},
     {name = "hand", kind = "choice", text = "Hand", choices = ["left", "right"]},
+    {name = "why", kind = "text", text = "Why?", required = true},
 ]
+
+[more]
+after = "consent"
+title = "More"
+text = "More about you."
+
+[third]
+after = "hours"
+title = "Even more"
+text = "Still about you."
 
 [ease]
 after = "drive"
 title = "Ease"
 text = "How easy was it?"
-items = [{name = "ease", text = "It was easy.", low = 0, high = 10}]
+items = [{name = "ease", text = "It was easy in {number} of {count}.", low = 0, high = 10}]
 
 [last]
 before = "debriefing"
@@ -53,74 +67,55 @@ skip = true
 
 
 @pytest.fixture
-def toml(tmp_path):
-    def write(text):
-        path = tmp_path / "pages.toml"
-        path.write_text(text, encoding="utf-8")
-        return [path]
-
-    return write
+def read(tmp_path):
+    """A function that reads pages changed by a text."""
+    return lambda text: read_pages(files=[written(tmp_path, text)])
 
 
-def names(pages, order=("C2", "C1")):
-    return [step.page.name for step in steps_of(pages, order)]
+@pytest.fixture
+def own(read):
+    """The pages of a lab's own file, by name."""
+    return {page.name: page for page in read(OWN)}
 
 
 def test_the_course_of_a_participant():
+    steps = steps_of(read_pages(), ["C2", "C1"])
     drive = ["drive", "nasa_tlx", "trust", "satisfaction"]
     course = ["consent", "training", "identification", *drive, "pause", *drive, "debriefing"]
-    assert names(read_pages()) == course
-    steps = steps_of(read_pages(), ["C2", "C1"])
+    assert [step.page.name for step in steps] == course
     drives = [(s.condition, s.position, s.page.title) for s in steps if s.page.name == "drive"]
     assert drives == [("C2", 1, "Drive 1 of 2"), ("C1", 2, "Drive 2 of 2")]
     assert [s.name for s in steps[2:4]] == ["02-identification", "03-drive"]
 
 
-def test_own_pages_stand_where_they_say(toml):
-    pages = read_pages(files=toml(OWN))
+def test_own_pages_stand_where_they_say_and_those_of_a_drive_have_its_number(own):
     drive = ["drive", "ease", "nasa_tlx", "trust", "satisfaction"]
-    before = ["consent", "hours", "training", "identification"]
-    assert names(pages) == [*before, *drive, *drive, "last", "debriefing"]
-    by_name = {page.name: page for page in pages}
-    assert by_name["consent"].title == "Einverständnis"
-    assert by_name["consent"].items[0].kind == "check"  # what a file does not give stays
-    assert [(i.name, i.low, i.high, i.reversed) for i in by_name["hours"].items[:2]] == [
-        ("games", 1, 5, False),
-        ("late", 1, 5, True),
-    ]
-    assert [StudyPage.read(asdict(one)) for one in pages] == pages
+    before = ["consent", "hours", "more", "third", "training", "identification"]
+    steps = steps_of(own.values(), ["C2", "C1"])
+    names = [step.page.name for step in steps]
+    assert names == [*before, *drive, *drive, "last", "debriefing"]
+    assert steps[0].page.title == "Einverständnis {number}"
+    assert steps[7].page.items[0].text == "It was easy in 1 of 2."
+    assert own["consent"].items[0].kind == "check"  # what a file does not give stays
+    scales = [(i.name, i.low, i.high, i.reversed) for i in own["hours"].scales]
+    assert scales == [("games", 1, 5, False), ("late", 1, 5, True)]
+    assert [StudyPage.read(asdict(one)) for one in own.values()] == [*own.values()]
 
 
-def test_answers_that_a_page_takes(toml):
-    pages = {page.name: page for page in read_pages(files=toml(OWN))}
-    hours = {"games": 5, "late": 1, "hand": "left"}
-    assert pages["hours"].check(hours) == hours
+def test_answers_that_a_page_takes(own):
+    hours = {"games": 5, "late": 1, "attention": 5, "hand": "left", "why": "so"}
+    assert own["hours"].check(hours) == hours
     for words in ("<script>", "", "x" * 1000):
-        assert pages["last"].check({"words": words}) == {"words": words}
+        assert own["last"].check({"words": words}) == {"words": words}
     wrong = [("hours", hours | {"games": games}) for games in (0, 6, 2.5, True, "3", None, [3])]
     wrong += [("hours", hours | change) for change in ({"hand": "both"}, {"hand": {}}, {"more": 1})]
     wrong += [("hours", answers) for answers in (None, [], {"games": 3})]
-    wrong += [("last", {"words": words}) for words in ("x" * 1001, 3, "a\0b")]
+    wrong += [("last", {"words": words}) for words in ("x" * 1001, 3, "a\0b", "half \ud800")]
     for name, answers in [*wrong, ("consent", {"consent": False})]:
         with pytest.raises(AnswerError):
-            pages[name].check(answers)
-
-
-def test_a_page_that_belongs_to_no_drive_has_no_number(toml):
-    text = '[consent]\ntitle = "Part {number}"\n\n[drive]\ntitle = "{number}"\n'
-    text += 'text = "{number} of {count}"\n[trust]\nscored = "likert"\n'
-    text += 'items = [{name = "a", text = "Did drive {number} please you?"}]'
-    pages = {step.page.name: step.page for step in steps_of(read_pages(files=toml(text)), ["C1"])}
-    assert (pages["consent"].title, pages["drive"].title) == ("Part {number}", "1")
-    assert pages["drive"].text == "1 of 1"
-    assert pages["trust"].items[0].text == "Did drive 1 please you?"
-
-
-def test_pages_behind_the_same_one_keep_their_order(toml):
-    one = "title = 'x'\ntext = 'y'\n"
-    text = f"[a]\nafter='consent'\n{one}[b]\nafter='consent'\n{one}[c]\nafter='a'\n{one}"
-    names = [page.name for page in read_pages(files=toml(text))]
-    assert names[:5] == ["consent", "a", "b", "c", "training"]
+            own[name].check(answers)
+    with pytest.raises(AnswerError, match=r"^Why\?$"):  # its text, in the study's language
+        own["hours"].check(hours | {"why": " "})
 
 
 @pytest.mark.parametrize(
@@ -128,19 +123,11 @@ def test_pages_behind_the_same_one_keep_their_order(toml):
     [
         ("[a", "is no TOML file"),
         ("[mine]\nafter='drive'\ntitel='x'", "pages.toml, .* got 'titel'; did you mean 'title'"),
-        ("[pause]\nskip=true\ntitel='x'", "pages.toml, .*'low'.*'skip', got 'titel'"),
-        (
-            "[trust]\nitems=[{name='a', text='t', kind='choice', chioces=[]}]",
-            "a key must be one of .*'choices'.* got 'chioces'",
-        ),
         (
             "[trust]\nitems=[{name='a', text='t', choices=['x']}]",
             "a key must be one of .*'reversed', 'expected', got 'choices'",
         ),
-        (
-            "[drive]\nitems=[{name='a', text='t'}]",
-            "a key of .*pages.toml, .* must be one of .*, got 'items'",
-        ),
+        ("[drive]\nitems=[{name='a', text='t'}]", "must be one of .*, got 'items'"),
         ("[debriefing]\ngroup='told'", "a key of .*pages.toml, .* must be one of .*, got 'group'"),
         ("[identification]\nsection='each'", "section must be one of 'start'"),
         ("[mine]\nafter='drive'\nskip=true\ntitle='x'\ntext='y'", "got 'skip'"),
@@ -149,24 +136,17 @@ def test_pages_behind_the_same_one_keep_their_order(toml):
             "[trust]\nitems=[{name='trust', text='t'}]",
             "its items must be deceptive, .* score others as likert",
         ),
-        ("[trust]\ngroup=1", r"pages.toml, \[trust\]: group must be of type str"),
-        ("[trust]\nsection='sometimes'", "section must be one of 'start', 'each', 'end'"),
-        ("[drive]\nsection='start'", "section must be one of 'each'"),
         ("[training]\nkind='end'", "got 'kind'"),
         ("[trust]\ntext=3", r"pages.toml, \[trust\]: text must be of type str, got 3"),
         ("[mine]\nafter=['trust']\ntitle='x'\ntext='y'", "must say before or after which page"),
-        ("[trust]\nitems=3", "items must be of type list, got 3"),
         ("[trust]\nitems=[{name='a', text='t', reversed=1}]", "reversed must be of type bool"),
-        (
-            "[mine]\nafter='drive'\ntitle='x'\ntext='y'\nitems=[{name='a', text='t'}, "
-            "{name='a', text='u'}]",
-            "the same name",
-        ),
+        ("[trust]\nitems=[{name='a', text='t', expected=9}]", "expected = 9 is no answer to it"),
+        ("[trust]\nitems=[{name='a', text='t'}, {name='a', text='u'}]", "the same name"),
     ],
 )
-def test_faults_of_a_file_are_named(toml, text, said):
-    with pytest.raises(ValueError, match=said):
-        read_pages(files=toml(text))
+def test_faults_of_a_file_are_named(read, text, said):
+    with refused(said):
+        read(text)
 
 
 def shape(page):
@@ -175,49 +155,20 @@ def shape(page):
     return page.name, page.kind, page.section, page.scored, items
 
 
-HOLE = re.compile(r"\{(\w+)\}")
-
-
 def test_every_language_has_the_same_messages_pages_and_items():
-    english = read_words("en")
-    pages = read_pages("en")
+    english, shapes = read_words("en"), [*map(shape, read_pages("en"))]
     assert set(LANGUAGES) == {"de", "en"}
     for language in LANGUAGES:
         words = read_words(language)
         assert list(words) == list(english)
         for name, text in words.items():
-            assert set(HOLE.findall(text)) == set(HOLE.findall(english[name])), name
-        for page, model in zip(read_pages(language), pages, strict=True):
-            assert shape(page) == shape(model)
-    with pytest.raises(ValueError, match="language must be one of 'de', 'en'"):
-        read_pages("fr")
+            holes, known = (set(re.findall(r"\{(\w+)\}", said)) for said in (text, english[name]))
+            assert holes == known, name
+        assert [*map(shape, read_pages(language))] == shapes
 
 
-def test_items_that_are_reversed_otherwise_than_printed_are_refused(toml):
+def test_items_that_are_reversed_otherwise_than_printed_are_refused(read):
     words = tomllib.loads(LANGUAGES["en"].read_text())["nasa_tlx"]["items"]
     items = [f"{{name = '{item['name']}', text = 'x', reversed = true}}" for item in words]
-    with pytest.raises(ValueError, match="with reversed left out; score others as likert"):
-        read_pages(files=toml(f"[nasa_tlx]\nitems = [{', '.join(items)}]"))
-
-
-CHECKED = """
-[about]
-after = "consent"
-title = "You"
-text = "About you."
-items = [
-    {name = "why", kind = "text", text = "Why?", required = true},
-    {name = "attention", text = "Mark 3 here.", expected = 3},
-    {name = "a", text = "A"},
-]
-"""
-
-
-def test_words_may_be_required_and_attention_checked(toml):
-    page = next(page for page in read_pages(files=toml(CHECKED)) if page.name == "about")
-    answers = {"why": "so", "attention": 5, "a": 1}
-    assert page.check(answers) == answers
-    with pytest.raises(AnswerError, match=r"^Why\?$"):  # its text, in the study's language
-        page.check(answers | {"why": " "})
-    with pytest.raises(ValueError, match=r"item 'attention': expected = 9 is no answer to it"):
-        read_pages(files=toml(CHECKED.replace("expected = 3", "expected = 9")))
+    with refused("with reversed left out; score others as likert"):
+        read(f"[nasa_tlx]\nitems = [{', '.join(items)}]")

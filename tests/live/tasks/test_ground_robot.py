@@ -4,6 +4,8 @@ Settings, drives and hands of the ground robot live, and a driver's model from a
 Oracles: Table 2.1 as printed; `fit_tsc` called by hand with the same values held.
 """
 
+from operator import attrgetter
+
 import pandas as pd
 
 import trustlab as tl
@@ -14,15 +16,13 @@ from trustlab.live.tasks.ground_robot import TASK, drive_config
 MODEL = tl.published_models()["2"]
 
 
-def driven(condition, seed, **settings):
-    config = drive_config(tl.DriveSettings(**settings).as_json(), condition, seed)
-    _, rows = scripted_commands(TASK, config, HumanHand(config, seed))
-    return TASK.session(config, rows, synthetic=True)
-
-
 def test_the_live_task_is_as_hard_as_people_found_it():
     """Means from 100 s on, when the window of (2.4) is full, beside the best of each person."""
-    drives = [driven("C1", k, laps=2).data[100.0:] for k in range(2)]
+    content, drives = tl.DriveSettings(laps=2).as_json(), []
+    for seed in range(2):
+        config = drive_config(content, "C1", seed)
+        _, rows = scripted_commands(TASK, config, HumanHand(config, seed))
+        drives.append(TASK.session(config, rows).data[100.0:])
     hand = pd.concat(drives).mean()
     people = [tl.published_models()[name] for name in "12345"]
     for signal, most in (
@@ -45,10 +45,7 @@ def test_what_a_drive_leaves_undetermined_is_held_at_the_drives_model(tmp_path):
     found = live.fit().parameters
     held = found.index[found["status"] == "fixed"]
     assert {"human_a", "human_beta"} <= set(held)
-    values = {}
-    for name in held:
-        part, _, parameter = name.partition("_")
-        values[name] = getattr(getattr(MODEL, part), parameter)
+    values = {name: attrgetter(name.replace("_", ".", 1))(MODEL) for name in held}
     assert found.loc[held, "value"].to_dict() == values
     again = tl.fit_tsc(live.session, fixed=values | {"r0": 0.0})
     assert (found["status"] == "estimated").any()
