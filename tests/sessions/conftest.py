@@ -1,9 +1,10 @@
 """What the tests of sessions share: a table written to a file and read."""
 
+import pandas as pd
 import pytest
 
-from tests.sessions.logs import table_recipe
-from trustlab.sessions import read_session
+from tests.sessions.logs import table_recipe, write_table
+from trustlab.sessions import read_session, read_sessions
 
 
 @pytest.fixture
@@ -16,3 +17,14 @@ def read(tmp_path):
         return read_session(path, recipe=recipe and table_recipe(recipe), **options)
 
     return read
+
+
+@pytest.fixture
+def read_parts(tmp_path):
+    """A function that writes a table to a file and reads the parts that a recipe cuts it into."""
+
+    def read_parts(columns, recipe):
+        write_table(pd.DataFrame(columns), tmp_path / "run.csv")
+        return read_sessions(tmp_path, table_recipe(recipe))
+
+    return read_parts

@@ -16,8 +16,8 @@ NUMBER, TEXT = "std_msgs/msg/Float64", "std_msgs/msg/String"
 
 def table_recipe(text: str) -> Recipe:
     """Return a recipe for tables, whose times are seconds where it does not say."""
-    time = "" if "[time]" in text else '[time]\nunit = "s"\n'
-    return Recipe.from_toml(f'kind = "table"\n{time}{text}')
+    time = "" if "[time]" in text else '[time]\nunit = "s"'
+    return Recipe.from_toml(f'kind = "table"\n{text}\n{time}')
 
 
 def bag_recipe(text: str) -> Recipe:
