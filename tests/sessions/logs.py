@@ -60,6 +60,12 @@ class Bag:
         stamp = START + round(seconds * 1e9)
         self.entries.append((topic, stamp, kind, message(self.store, kind, values)))
 
+    def numbers(self, topic: str, times, values=0.5) -> "Bag":
+        """Add numbers at times [s]; return the bag."""
+        for t, value in zip(times, np.broadcast_to(values, len(times)), strict=True):
+            self.add(topic, t, NUMBER, data=float(value))
+        return self
+
     def write(self):
         """Write the bag; return its path."""
         serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
@@ -90,12 +96,3 @@ def write_table(table, path):
     else:
         table.to_csv(path, sep="\t" if ".tsv" in path.name else ",", index=False)
     return path
-
-
-def bag_of_numbers(path, times, topic="/e", **columns):
-    """Write a bag with one topic of numbers for each column, or for values of one topic."""
-    bag = Bag(path)
-    for name, values in columns.items():
-        for t, value in zip(times, values, strict=True):
-            bag.add(topic if name == "values" else f"/{name}", t, NUMBER, data=float(value))
-    return bag.write()

@@ -85,7 +85,7 @@ def test_sorted_and_merged_rows_are_those_of_pandas(rule, counts, seed):
     rng = np.random.default_rng(seed)
     t = rng.permutation(np.repeat(np.arange(len(counts)), counts))
     frame = pd.DataFrame(rng.random((t.size, 3)), columns=["p_r", "step_distance", "yaw"])
-    frame[STATES] = rng.integers(0, 2, (t.size, 5)) + [0, 0, 0, 1, 1]
+    frame[STATES] = rng.integers([0, 0, 0, 1, 1], [2, 2, 2, 3, 3], (t.size, 5))
     time = {"unit": "s", "sort": True, "repeated": rule}
     session = read_frame(frame.assign(t=t), replace(plain_recipe([*frame]), time=time))
     ways = dict.fromkeys(["yaw", *STATES], "first" if rule == "first" else "last")
