@@ -150,82 +150,70 @@ PATHS = [
     "yaw(x)",
 ]
 
-# What a key of a recipe may say: good values, and odd ones.
-FLAGS = [True, False], [0, "x"]
-NUMBERS = [1, -1, 0.5, 2.5], [0, 1e308, -1e308, 1e-320, 10**30, "x", True]
-UNITS = ["mm", "s", "us", "%", "deg", "N", "furlong", ""]
-LENGTH = {"unit": (["m", "mm"], UNITS)}
-REPEATS = {"repeated": (["first", "last", "mean"], ["median"])}
-METHODS = ["previous", "linear", "nearest"], ["cubic"]
-STEPS = [0.1, 0.03, 1.0, 1e-3], [1e-9, 1e9, 0, "x"]
-FACTS = ["participant", "block", "header.share"], ["trial", "kind", "start_time"]
-AXES = {"axes": ([["x"], ["x", "y"]], [["z"], []])}
-DISTANCES = [
-    {"distance": ([["robot", "reference"]], [["robot"], "robot"])},
-    {"travelled": (["robot"], ["none"])},
+# What a key of a recipe may say, and what else some people write there.
+FLAGS = [True, False]
+NUMBERS = [1, -1, 0.5, 2.5]
+LENGTH = {"unit": ["m", "mm"]}
+REPEATS = {"repeated": ["first", "last", "mean"]}
+METHODS = ["previous", "linear", "nearest"]
+AXES = {"axes": [["x"], ["x", "y"]]}
+ODD_NUMBERS = [0, -1, 7, 1e9, 1e-9, 1e300, 1e308, -1e308, 1e-320, 10**30, True, "x"]
+ODD_WORDS = ["", "x", "none", "mm", "s", "deg", "furlong", "iso", "clock", "header", ";", ",", "{"]
+ODD_WORDS += [
+    "a.{kind}",
+    "{a}{b}",
+    "../head.index",
+    ["z"],
+    [],
+    {},
+    {"x": 1e308},
+    {"trial": "kind"},
+    0,
 ]
-OF_CELL = {
+# Where a column comes from that is none of the log, and the column of modes.
+CONSTANTS = [
+    {"value": NUMBERS},
+    {"from": ["participant", "block", "header.share"]},
+    {"distance": [["robot", "reference"]], **AXES},
+    {"travelled": ["robot"], **AXES},
+]
+OF_MODE = {
     "pedal": {"above": NUMBERS},
-    "mode": {"map": ([{"MANUAL": 1, "AUTO": 0, "1": 0.5, "0": 0}], [{"MANUAL": 1}])},
+    "mode": {"map": [{"MANUAL": 1, "AUTO": 0, "1": 0.5, "0": 0}]},
 }
 ANY_COLUMN = {
     "scale": NUMBERS,
     "offset": NUMBERS,
     "above": NUMBERS,
-    "map": ([{"1": 0.5, "0": 2}], [{"x": 1e308}, {}]),
-    "unit": (["m"], UNITS),
+    "map": [{"1": 0.5, "0": 2}],
+    "unit": ["m"],
 }
-# The tables of a recipe: how often they are there, which share of these keys, and what they say.
+# Tables of a recipe, how often these keys are there, and what they say.
 OF_BAGS = [
-    ("time", 1, 0.3, {"stamp": (["receive"], ["header", "x"]), **REPEATS}),
-    ("time", 1, 0.2, {"topics": ([{"/joint_states": "header"}], [{"/none": "header"}])}),
+    ("time", 0.3, {"stamp": ["receive"], **REPEATS}),
+    ("time", 0.2, {"topics": [{"/joint_states": "header"}]}),
 ]
 OF_TABLES = [
-    ("time", 1, 0.6, {"from_zero": FLAGS, **REPEATS}),
-    ("time", 1, 0.15, {"sort": FLAGS, "jumps": (["split"], ["drop"])}),
-    ("time", 1, 0.05, {"column": (["t"], ["pos", 0, 99])}),
-    (
-        "table",
-        1,
-        0.1,
-        {
-            "header": ([True], [False]),
-            "delimiter": ([","], [";", "x"]),
-            "decimal": (["."], [","]),
-            "skip_lines": ([0], [1, 7, 10**6]),
-        },
-    ),
-    (
-        "files",
-        0.3,
-        1,
-        {"pattern": (["a.{kind}", "read/a.{kind}"], ["*", "{kind:int}.csv", "{", "{a}{b}"])},
-    ),
-    (
-        "header",  # needs fields of the path
-        0.7,
-        0.97,
-        {
-            "file": (["head.index"], ["../head.index", "none.csv", "a.{kind}", "{x}"]),
-            "keys": ([{"kind": "kind"}], [{"kind": "share"}, {"trial": "kind"}, {}]),
-        },
-    ),
+    ("time", 0.6, {"from_zero": FLAGS, **REPEATS}),
+    ("time", 0.15, {"sort": FLAGS}),
+    ("time", 0.15, {"jumps": ["split"]}),
+    ("time", 0.05, {"column": ["t", "pos"]}),
+    ("table", 0.1, {"header": [True], "delimiter": [","], "decimal": ["."], "skip_lines": [0, 1]}),
+    ("files", 0.3, {"pattern": ["a.{kind}", "read/a.{kind}"]}),
+    ("header", 0.7, {"file": ["head.index"], "keys": [{"kind": "kind"}]}),
 ]
-
-
-OF_ANY = [
-    ("resampling", 0.6, 1, {"method": METHODS, "sample_time": STEPS}),
-    ("splitting", 0.4, 0.97, {"gap": ([0.15, 0.5, 5.0], [1e-9, 1e300, 0, -1])}),
+OF_BOTH = [
+    ("resampling", 0.6, {"method": METHODS, "sample_time": [0.1, 0.03, 1.0, 1e-3]}),
+    ("splitting", 0.4, {"gap": [0.15, 0.5, 5.0]}),
     (
         "metadata",
         0.3,
-        0.95,
         {
-            "participant": ([{"value": 3}], [{"value": True}, {"value": "x"}, {}]),
-            "block": (
-                [{"from": "participant", "map": {"3": 1}}],
-                [{"from": "trial", "map": {"1": "x"}, "default": 0}, {"from": "none", "map": {}}],
-            ),
+            "participant": [{"value": 3}],
+            "block": [
+                {"from": "participant", "map": {"3": 1}},
+                {"from": "participant", "map": {"1": "x"}, "default": 0},
+            ],
         },
     ),
 ]
@@ -243,36 +231,36 @@ def toml(value):
     return json.dumps(value)
 
 
-def mostly(rng, good, odd):
+def mostly(rng, good):
     """Return one of the good values, and now and then an odd one."""
-    return one_of(rng, odd if rng.random() < 0.03 else good)
+    value = one_of(rng, good)
+    if rng.random() < 0.03:
+        return one_of(rng, ODD_NUMBERS if isinstance(value, int | float) else ODD_WORDS)
+    return value
 
 
 def some(rng, share, keys):
-    """Return some of the keys, each with one of its good or odd values."""
-    return {name: mostly(rng, *values) for name, values in keys.items() if rng.random() < share}
+    """Return some of the keys, each with one of its good values or an odd one."""
+    return {name: mostly(rng, values) for name, values in keys.items() if rng.random() < share}
 
 
 def random_column(rng, name, topics):
     """Return the rule of a column of a table, or of a bag with these topics."""
     length = some(rng, 0.98, LENGTH) if name in POSITIONS else {}
-    kind = rng.random()
-    if kind < 0.06:
-        return some(rng, 1, {"value": NUMBERS}) | length
-    if kind < 0.10:
-        return some(rng, 1, {"from": FACTS})
-    if kind < 0.16:
-        return some(rng, 1, one_of(rng, DISTANCES) | AXES)
+    if rng.random() < 0.16:
+        rule = some(rng, 1, one_of(rng, CONSTANTS))
+        return rule | length if "value" in rule else rule
     if topics:
-        topic = mostly(rng, topics, ["/none", "/tf"])
-        rule = {"topic": topic, "field": mostly(rng, TOPICS.get(topic, PATHS), PATHS)}
+        topic = mostly(rng, topics)
+        paths = TOPICS.get(str(topic), PATHS)
+        rule = {"topic": topic, "field": one_of(rng, PATHS if rng.random() < 0.03 else paths)}
         rule |= some(rng, 0.15, {"hold": FLAGS})
     else:
         own = ["mode", "pedal"] if name == "mode" else ["pedal", "speed", "err", "pos"]
-        rule = {"column": mostly(rng, own, [*CELLS, 0, 3, 99])}
-        rule |= some(rng, 0.6, {"blank": (["hold", "linear"], ["drop"])})
+        rule = {"column": mostly(rng, own)}
+        rule |= some(rng, 0.6, {"blank": ["hold", "linear"]})
         if name == "mode":
-            rule |= some(rng, 0.8, OF_CELL.get(rule["column"], {}))
+            rule |= some(rng, 0.8, OF_MODE.get(str(rule["column"]), {}))
     rule |= length | some(rng, 0.05, ANY_COLUMN)
     return rule | some(rng, 0.1, {"absolute": FLAGS, "resample": METHODS})
 
@@ -282,10 +270,11 @@ def random_recipe(rng, topics, unit="s"):
     names = rng.permutation(["mode", "p_r", "p_h", "r", "beta", *POSITIONS])[: rng.integers(1, 4)]
     tables = {"columns": {str(name): random_column(rng, name, topics) for name in names}}
     if not topics:
-        tables["time"] = some(rng, 1, {"unit": ([unit], ["m", "us", "s", "iso", "clock"])})
-    for title, chance, share, keys in (*(OF_BAGS if topics else OF_TABLES), *OF_ANY):
+        tables["time"] = some(rng, 1, {"unit": [unit]})
+    for title, chance, keys in (*(OF_BAGS if topics else OF_TABLES), *OF_BOTH):
+        # Header tables are found by fields of paths.
         if rng.random() < chance and (title != "header" or "files" in tables):
-            tables[title] = tables.get(title, {}) | some(rng, share, keys)
+            tables[title] = tables.get(title, {}) | some(rng, 0.97, keys)
     text = f'kind = "{"bag" if topics else "table"}"\n'
     text += "performance_window = 100\n" if rng.random() < 0.1 else ""
     for title, table in tables.items():
@@ -315,8 +304,8 @@ def random_table(rng, unit):
     frame["mode"] = rng.choice(one_of(rng, [[0, 1], ["MANUAL", "AUTO"]]), rows)
     frame["who"] = "a"
     frame.loc[frame["speed"] < 0.3, "speed"] = np.nan
-    odd_errors = [rng.integers(-(2**60), 2**60, rows), rng.random(rows) < 0.5]
-    frame["err"] = mostly(rng, [frame["err"]], odd_errors)
+    if rng.random() < 0.03:
+        frame["err"] = one_of(rng, [rng.integers(-(2**60), 2**60, rows), frame["err"] < 0.5])
     if rng.random() < 0.3:
         frame = frame.astype(object)
         for _ in range(rng.integers(1, 4)):
@@ -341,13 +330,13 @@ def read_by_random_recipe(name, folder, bag, rng):
     recipe.write_bytes(random_recipe(rng, topics, unit).encode())
     options = {"recipe": recipe}
     if rng.random() < 0.2:
-        options |= {"resample": "linear", "sample_time": mostly(rng, [0.1], [1e-7, 1e9])}
+        options |= {"resample": "linear", "sample_time": mostly(rng, [0.1])}
     if name == "bags":
         return [read_session(bag, **options)]
     if name == "frame":
         return [read_frame(random_table(rng, unit), **options)]
     path = random_file(rng, folder, unit)
-    kinds = mostly(rng, [[path.name[2:]]], [FILES, []])
+    kinds = one_of(rng, [FILES, []]) if rng.random() < 0.03 else [path.name[2:]]
     head = folder / "head.index"
     head.write_text("\n".join(["kind,share", *(f"{kind},0.5" for kind in kinds), ""]))
     for file in (path, head):
