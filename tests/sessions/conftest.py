@@ -1,9 +1,8 @@
 """What the tests of sessions share: a table written to a file and read."""
 
-import pandas as pd
 import pytest
 
-from tests.sessions.logs import table_recipe, write_table
+from tests.sessions.logs import table_recipe
 from trustlab.sessions import read_session, read_sessions
 
 
@@ -23,8 +22,8 @@ def read(tmp_path):
 def read_parts(tmp_path):
     """A function that writes a table to a file and reads the parts that a recipe cuts it into."""
 
-    def read_parts(columns, recipe):
-        write_table(pd.DataFrame(columns), tmp_path / "run.csv")
+    def read_parts(text, recipe):
+        (tmp_path / "run.csv").write_text(text)
         return read_sessions(tmp_path, table_recipe(recipe))
 
     return read_parts

@@ -154,10 +154,10 @@ def test_a_window_of_ones_own_changes_no_other_recipe():
     assert values == [100.0, 50.0]
 
 
-def test_columns_that_are_not_asked_for_need_no_header():
+def test_columns_that_are_not_asked_for_need_no_header(read):
     """A constant that nobody read had to be known; what a distance needs still has to."""
-    frame = pd.DataFrame({"t": [0, 1], "m": [1, 0], "x": [3, 3]})
-    recipe = table_recipe("""[columns]
+    rows = "t,m,x\n0,1,3\n1,0,3\n"
+    recipe = """[columns]
 mode = { column = "m" }
 r = { from = "header.share" }
 robot_x = { column = "x", unit = "m" }
@@ -165,11 +165,11 @@ robot_y = { value = 4, unit = "m" }
 reference_x = { value = 0, unit = "m" }
 reference_y = { value = 0, unit = "m" }
 path_error = { distance = ["robot", "reference"], axes = ["x", "y"] }
-""")
-    assert read_frame(frame, recipe, columns=["mode"])["mode"].tolist() == [1, 0]
-    assert read_frame(frame, recipe, columns=["path_error"])["path_error"].tolist() == [5, 5]
+"""
+    session = read(rows, recipe, columns=["mode", "path_error"])
+    assert session.data.to_dict("list") == {"mode": [1, 0], "path_error": [5, 5]}
     with refused(r"column 'r' .from header\.share"):
-        read_frame(frame, recipe)
+        read(rows, recipe)
 
 
 # --- drafts ---------------------------------------------------------------------------------------
