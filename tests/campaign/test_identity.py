@@ -111,16 +111,11 @@ for files in json.load(sys.stdin):
 """
 
 
-def lines(folder, script, given=""):
-    """Run Python in a folder; return what it prints."""
-    command = [sys.executable, "-B", "-c", script]
-    environment = os.environ | {"PYTHONPATH": ROOT}
-    output = subprocess.check_output(command, cwd=folder, env=environment, text=True, input=given)
-    return output.splitlines()
-
-
 def drive(folder, states):
-    return lines(folder, DRIVER, json.dumps(states))
+    command = [sys.executable, "-B", "-c", DRIVER]
+    env, given = os.environ | {"PYTHONPATH": ROOT}, json.dumps(states)
+    output = subprocess.check_output(command, cwd=folder, env=env, text=True, input=given)
+    return output.splitlines()
 
 
 def in_package(task, helper):
@@ -254,19 +249,3 @@ def test_values_and_code_that_a_task_carries_count(tmp_path, make):
     for other in (3, 2.0, True):
         with refused("the task or a value it uses or fills changed"):
             go(other)
-
-
-def test_processes_that_imported_an_earlier_version_are_not_used(tmp_path):
-    """joblib keeps its processes. Oracle: the task called in this process."""
-    script = """
-import importlib
-from pathlib import Path
-import trustlab as tl
-file = Path("edited.py")
-for value in (1, 2):
-    file.write_text(f"def task(x, seed): return {{'y': {value}}}")
-    edited = importlib.reload(edited) if value > 1 else importlib.import_module("edited")
-    table = tl.run_campaign(edited.task, [{"x": 1}, {"x": 2}], n_jobs=2)
-    print([*table["y"], edited.task(1, 0)["y"]])
-"""
-    assert lines(tmp_path, script) == ["[1, 1, 1]", "[2, 2, 2]"]

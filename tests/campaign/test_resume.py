@@ -215,3 +215,21 @@ def test_damage_and_places_that_cannot_be_used_are_named(tmp_path):
         go(chunk)
     with refused(rf"^folder: there is no campaign in {tmp_path}$"):
         read_campaign(tmp_path)
+
+
+def test_processes_that_imported_an_earlier_version_are_not_used(tmp_path):
+    """joblib keeps its processes. Oracle: the task called in this process."""
+    script = """
+import importlib
+from pathlib import Path
+import trustlab as tl
+file = Path("edited.py")
+for value in (1, 2):
+    file.write_text(f"def task(x, seed): return {{'y': {value}}}")
+    edited = importlib.reload(edited) if value > 1 else importlib.import_module("edited")
+    table = tl.run_campaign(edited.task, [{"x": 1}, {"x": 2}], n_jobs=2)
+    print([*table["y"], edited.task(1, 0)["y"]])
+"""
+    command = [sys.executable, "-B", "-c", script]
+    output = subprocess.check_output(command, cwd=tmp_path, env=ENVIRONMENT, text=True)
+    assert output == "[1, 1, 1]\n[2, 2, 2]\n"

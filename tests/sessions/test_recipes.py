@@ -6,6 +6,7 @@ Oracles: values computed by hand; the values of the log, written out.
 
 import gzip
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pandas as pd
@@ -102,6 +103,26 @@ def test_every_rule(tmp_path):
     assert dict(facts.more) == derived | {"start_time": 5.0, "performance_window": 100}
     # Columns by name bring what they are computed from, and no more.
     assert read_session(lab, recipe, columns=["path_error"]).columns == ["path_error"]
+
+
+@pytest.mark.parametrize("zone", ["", "Z", "+01:00"])
+def test_dates_keep_their_digits(read, zone):
+    """Oracle: fractions of whole numbers, exact to the rounding of one float."""
+    stamps = [999_999_999 + 123_456_789 * k for k in range(400)]  # every step has nine digits
+    times = [f"2026-03-01T12:00:{ns // 10**9:02}.{ns % 10**9:09}{zone}" for ns in stamps]
+    frame = pd.DataFrame({"t": times, "p_r": 1.0})
+    text = '[time]\nunit = "iso"\nfrom_zero = true\n[columns]\np_r = { column = "p_r" }'
+    stamps_of_pandas = frame.assign(t=pd.to_datetime(frame["t"]))
+    sessions = [
+        read(frame.to_csv(index=False), text),
+        read_frame(stamps_of_pandas, table_recipe(text)),
+    ]
+    start = pd.Timestamp(times[0]).timestamp()
+    for session in sessions:
+        assert session.t.tolist() == [float(Fraction(ns - stamps[0], 10**9)) for ns in stamps]
+        assert session.metadata.more["start_time"] == start
+    since_1970 = read_frame(frame, table_recipe(text.replace("true", "false")))
+    assert_allclose(since_1970.t, start + sessions[0].t, rtol=0, atol=5e-7)
 
 
 def test_numbered_columns_of_a_frame_are_named_by_their_numbers():

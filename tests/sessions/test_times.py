@@ -5,7 +5,6 @@ Times, blanks, gaps, jumps, resampling. Oracle: pandas, numpy.interp, and loops 
 import re
 from contextlib import nullcontext
 from dataclasses import replace
-from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -49,26 +48,6 @@ def test_times_in_other_units(read, unit, times):
         assert_allclose(session.t, [0.0, 0.5, 1.0], rtol=0, atol=1e-9)
     note = session.metadata.more.get("midnights")
     assert note == ("1 passed; times count on" if "23" in str(times[0])[:2] else None)
-
-
-@pytest.mark.parametrize("zone", ["", "Z", "+01:00"])
-def test_dates_keep_their_digits(read, zone):
-    """Oracle: fractions of whole numbers, exact to the rounding of one float."""
-    stamps = [999_999_999 + 123_456_789 * k for k in range(400)]  # every step has nine digits
-    times = [f"2026-03-01T12:00:{ns // 10**9:02}.{ns % 10**9:09}{zone}" for ns in stamps]
-    frame = pd.DataFrame({"t": times, "p_r": 1.0})
-    text = ZERO.replace("UNIT", "iso")
-    stamps_of_pandas = frame.assign(t=pd.to_datetime(frame["t"]))
-    sessions = [
-        read(frame.to_csv(index=False), text),
-        read_frame(stamps_of_pandas, table_recipe(text)),
-    ]
-    start = pd.Timestamp(times[0]).timestamp()
-    for session in sessions:
-        assert session.t.tolist() == [float(Fraction(ns - stamps[0], 10**9)) for ns in stamps]
-        assert session.metadata.more["start_time"] == start
-    since_1970 = read_frame(frame, table_recipe(text.replace("true", "false")))
-    assert_allclose(since_1970.t, start + sessions[0].t, rtol=0, atol=5e-7)
 
 
 # --- rows out of order, repeated, after a jump or a gap -------------------------------------------
