@@ -12,14 +12,11 @@ from trustlab.sessions import metrics, tracking_error
 
 def drive(n=1100, **columns):
     rng = np.random.default_rng(0)
-    drawn = {
-        "mode": np.ones(n),
-        "step_distance": rng.random(n) * 0.05,
-        "path_error": rng.random(n) * 2.0,
-        "v_command": rng.normal(size=n),
-        "w_command": rng.normal(size=n),
-    }
-    return tl.Session(pd.DataFrame(drawn | columns, index=0.1 * np.arange(n)))
+    stems = ("u_h", "u_a", "u_i", "reference", "robot")
+    names = ["v_command", "w_command", *(f"{stem}_{axis}" for stem in stems for axis in "xyz")]
+    drawn = dict(zip(names, rng.normal(size=(17, n)), strict=True))
+    drawn |= {"step_distance": rng.random(n) * 0.05, "path_error": rng.random(n) * 2.0}
+    return tl.Session(pd.DataFrame({"mode": 1.0, **drawn, **columns}, index=0.1 * np.arange(n)))
 
 
 @pytest.mark.parametrize(
@@ -33,7 +30,8 @@ def test_ground_robot_measures_are_the_printed_sums(options, window, e_max):
     """
     session = drive()
     measured = session.with_performance(**options)
-    d, e, v, w = (session[name] for name in session.columns[1:])
+    d, e = session["step_distance"], session["path_error"]
+    v, w = session["v_command"], session["w_command"]
     means = {
         "p_r": d / 0.1 * (e_max - e) / e_max,
         "p_h": v * (e_max - e) / e_max + abs(w) * e / e_max,
@@ -46,20 +44,12 @@ def test_ground_robot_measures_are_the_printed_sums(options, window, e_max):
     assert dict(measured.metadata.more) == facts
 
 
-def arm(**extra):
-    rng = np.random.default_rng(1)
-    columns = {"mode": rng.random(50), "path_error": rng.random(50)}
-    for stem in ("u_h", "u_a", "u_i", "reference", "robot"):
-        columns |= {f"{stem}_{axis}": rng.normal(size=50) for axis in "xyz"}
-    return tl.Session(pd.DataFrame(columns | extra, index=0.1 * np.arange(50)))
-
-
 def norm(session, first, second, axes="xyz"):
     return sum(abs(session[f"{first}_{axis}"] - session[f"{second}_{axis}"]) for axis in axes)
 
 
 def test_uav_measures():
-    session = arm()
+    session = drive()
     measured = session.with_performance(window=0.1, measure="uav_tracking", e_max=2.0, u_max=3.0)
     assert_allclose(measured["p_r"], (2.0 - session["path_error"]) / 2.0, atol=1e-12)
     quality = 1 - norm(session, "u_i", "u_h") / 3.0  # not clipped where it is negative
@@ -70,9 +60,9 @@ def test_uav_measures():
 
 def test_mixed_initiative_measures_are_3_27():
     """Where both shares are negative, so that their product is positive, nothing is good."""
-    alpha = np.linspace(0.0, 1.0, 50)
+    alpha = np.linspace(0.0, 1.0, 1100)
     scales = {"window": 0.1, "measure": "mixed_initiative", "e_max": 0.9, "u_max": 2.0}
-    session = arm(alpha=alpha)  # α comes before the mode
+    session = drive(alpha=alpha)  # α comes before the mode
     measured = session.with_performance(axes="yz", **scales)
     e = norm(session, "reference", "robot", "yz")
     for name, command, share in (("p_r", "u_a", 1 - alpha), ("p_h", "u_h", alpha)):
@@ -82,7 +72,7 @@ def test_mixed_initiative_measures_are_3_27():
         assert expected.any()
         assert ((quality < 0.0) & (near < 0.0)).any()
     assert measured.metadata.more["performance"] == "(3.26), (3.27), window 0.1 s"
-    by_mode = arm(mode=alpha).with_performance(axes="yz", **scales)
+    by_mode = drive(mode=alpha).with_performance(axes="yz", **scales)
     assert by_mode["p_r"].tolist() == measured["p_r"].tolist()
 
 
@@ -98,7 +88,7 @@ def test_mixed_initiative_measures_are_3_27():
 )
 def test_scales_are_named_and_those_without_effect_refused(change, words):
     with refused(words):
-        arm().with_performance(window=0.1, **change)
+        drive().with_performance(window=0.1, **change)
 
 
 MODE = np.arange(2000) // 200 % 2

@@ -140,7 +140,7 @@ def test_a_last_line_that_was_cut_is_noted_and_warned_of(read):
 @pytest.mark.parametrize("name", ["a.csv", "a.parquet", "frame"])
 def test_the_columns_of_a_session_are_its_own(tmp_path, name):
     """Neither the file nor the frame that it came from can change it, and it can be changed."""
-    frame = TABLE.astype({"mode": float}).copy()
+    frame = TABLE.astype(float)
     if name == "frame":
         session = read_frame(frame)
         frame.loc[:, "p_r"] = 7.0
