@@ -322,7 +322,7 @@ def read_by_random_recipe(name, folder, bag, rng):
     recipe.write_bytes(random_recipe(rng, topics, unit).encode())
     options = {"recipe": recipe}
     if rng.random() < 0.2:
-        options |= {"resample": "linear", "sample_time": mostly(rng, [0.1])}
+        options |= {"resample": "linear", "sample_time": one_of(rng, [0.1, 0.1, 1e-7, 1e9])}
     if name == "bags":
         return [read_session(bag, **options)]
     if name == "frame":

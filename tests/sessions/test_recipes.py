@@ -223,37 +223,50 @@ Time [ms];Drive Mode;Cross Track Error [mm];pos x [m];pos y [m];note
 """
 
 
-def test_a_draft_reads_a_log_of_another_style(drafted, tmp_path):
-    draft, session = drafted(RIG)
-    assert_allclose(session.t, [0.0, 0.1, 0.2, 0.3], atol=1e-12)
-    assert session["mode"].tolist() == [1.0, 1.0, 0.0, 0.0]
-    assert_allclose(session["path_error"], [1.5e-3, 1.6e-3, 1.7e-3, 1.8e-3])
-    assert session["robot_x"].tolist() == [0.0, 0.0, 0.2, 0.3]
-    assert session["robot_y"].tolist() == [0.0, 0.1, 0.1, 0.1]
-    assert draft.endswith("#   note\n")
-    with refused(r"run\.csv\.toml exists already"):
-        draft_recipe(tmp_path / "run.csv", tmp_path / "run.csv.toml")
-    # An error of the system.
-    with refused(r"cannot write .*nowhere.*No such file or directory"):
-        draft_recipe(tmp_path / "run.csv", tmp_path / "nowhere" / "lab.toml")
-
-
 SPACES = """  stamp_s   driver   err_cm
  0.0   human    10
  0.1   robot     9.5
  0.2   human    11
 """
+OF_SPACES = {"t": [0, 0.1, 0.2], "mode": [1, 0, 1], "path_error": [0.1, 0.095, 0.11]}
+SHARES = "".join(f"{k / 10};{k / 50:g}\n" for k in range(50))
+DRAFTS = [
+    (
+        "run.csv",
+        RIG,
+        {
+            "t": [0, 0.1, 0.2, 0.3],
+            "mode": [1, 1, 0, 0],
+            "path_error": [1.5e-3, 1.6e-3, 1.7e-3, 1.8e-3],
+            "robot_x": [0, 0, 0.2, 0.3],
+            "robot_y": [0, 0.1, 0.1, 0.1],
+        },
+    ),
+    ("run.txt", SPACES, OF_SPACES),
+    *(
+        (name, "".join(mark.join(line.split()) + "\n" for line in SPACES.splitlines()), OF_SPACES)
+        for name, mark in (("run.csv.gz", ","), ("run.tsv", "\t"), ("run.csv", "|"))
+    ),
+    # Ten values got one with "?", and the eleventh had none. Excel's first line is skipped.
+    ("run.csv", f"sep=;\nt;mode\n{SHARES}", {"mode": np.arange(50) / 50}),
+    ("run.csv", f"sep=;\nt;autonomy\n{SHARES}", {"mode": 1 - np.arange(50) / 50}),
+]
 
 
-@pytest.mark.parametrize(
-    ("name", "mark"), [("run.txt", " "), ("run.csv.gz", ","), ("run.tsv", "\t"), ("run.csv", "|")]
-)
-def test_every_text_that_a_recipe_reads_is_drafted(drafted, name, mark):
-    text = "".join(mark.join(line.split()) + "\n" for line in SPACES.splitlines())
-    _, session = drafted(SPACES if mark == " " else text, name)
-    assert_allclose(session.t, [0.0, 0.1, 0.2], atol=1e-15)
-    assert session["mode"].tolist() == [1.0, 0.0, 1.0]
-    assert_allclose(session["path_error"], [0.1, 0.095, 0.11], atol=1e-15)
+@pytest.mark.parametrize(("name", "text", "expected"), DRAFTS)
+def test_a_draft_reads_every_text_that_a_recipe_reads(drafted, name, text, expected):
+    _, session = drafted(text, name)
+    for column, values in expected.items():
+        assert_allclose(session[column], values, rtol=1e-12, atol=1e-12)
+
+
+def test_a_draft_says_what_it_leaves_out_and_replaces_nothing(drafted, tmp_path):
+    assert drafted(RIG)[0].endswith("#   note\n")
+    with refused(r"run\.csv\.toml exists already"):
+        draft_recipe(tmp_path / "run.csv", tmp_path / "run.csv.toml")
+    # An error of the system.
+    with refused(r"cannot write .*nowhere.*No such file or directory"):
+        draft_recipe(tmp_path / "run.csv", tmp_path / "nowhere" / "lab.toml")
 
 
 MET = 'unit = "m"'
@@ -319,14 +332,6 @@ def test_on_and_off_mean_what_their_column_is_called(drafted, name, no, yes):
     """ "on" was manual in a column called auto, so that each drove where the other did."""
     _, session = drafted(f"t,{name},cte_m\n0,{no},1\n0.1,{no},1\n0.2,{yes},1\n0.3,{yes},1\n")
     assert session["mode"].tolist() == ([0, 0, 1, 1] if name == "manual" else [1, 1, 0, 0])
-
-
-@pytest.mark.parametrize(("name", "manual"), [("mode", [0.25, 1.0]), ("autonomy", [0.75, 0.0])])
-def test_shares_of_control_need_no_map(drafted, name, manual):
-    """Ten values got one with "?", and the eleventh had none. Excel's first line is skipped."""
-    rows = "".join(f"{k / 10};{k % 37 / 40 + 0.1:g}\n" for k in range(50))
-    _, session = drafted(f"sep=;\nt;{name}\n-0.2;0.25\n-0.1;1\n{rows}")
-    assert session["mode"][:2].tolist() == manual
 
 
 @pytest.mark.parametrize(
