@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 import trustlab as tl
+from tests.cases import refused
 from trustlab.campaign.identity import sources
 
 ROOT = str(Path(tl.__file__).parents[1])
@@ -97,7 +98,6 @@ DRIVER = """
 import json, os, pathlib, runpy, sys
 import numba
 import trustlab.campaign.run
-sys.dont_write_bytecode = True
 sys.path.insert(0, "")
 for files in json.load(sys.stdin):
     if not os.fork():
@@ -112,35 +112,23 @@ for files in json.load(sys.stdin):
 
 
 def drive(folder, states):
-    output = subprocess.check_output(
-        [sys.executable, "-c", DRIVER],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": ROOT},
-        text=True,
-        input=json.dumps(states),
-    )
+    command = [sys.executable, "-B", "-c", DRIVER]
+    env, given = os.environ | {"PYTHONPATH": ROOT}, json.dumps(states)
+    output = subprocess.check_output(command, cwd=folder, env=env, text=True, input=given)
     return output.splitlines()
 
 
-def in_package(folder, states):
-    files = [
-        {
-            "lab/__init__.py": "",
-            "lab/task.py": task.format(imports="from lab import helper"),
-            "lab/helper.py": helper,
-            "script.py": "from lab.task import task\n" + CALL,
-        }
-        for task, helper in states
-    ]
-    return drive(folder, files)
+def in_package(task, helper):
+    return {
+        "lab/__init__.py": "",
+        "lab/task.py": task.format(imports="from lab import helper"),
+        "lab/helper.py": helper,
+        "script.py": "from lab.task import task\n" + CALL,
+    }
 
 
-def in_script(folder, states):
-    files = [
-        {"script.py": task.format(imports="import helper") + CALL, "helper.py": helper}
-        for task, helper in states
-    ]
-    return drive(folder, files)
+def in_script(task, helper):
+    return {"script.py": task.format(imports="import helper") + CALL, "helper.py": helper}
 
 
 def in_notebook(folder, states):
@@ -162,12 +150,17 @@ def in_notebook(folder, states):
 
 @pytest.mark.parametrize("place", [in_package, in_script, in_notebook])
 def test_a_changed_task_is_refused_and_the_same_goes_on(tmp_path, place):
+    def printed(states):
+        if place is in_notebook:
+            return in_notebook(tmp_path, states)
+        return drive(tmp_path, [place(*state) for state in states])
+
     same = (TASK, HELPER)
     changed = [tuple(text.replace(*change) for text in same) for change in CHANGES]
-    assert place(tmp_path, [same]) == ["[8.0, 10.0] 0"]
-    resumed, *refused, again = place(tmp_path, [same, *changed, same])
+    assert printed([same]) == ["[8.0, 10.0] 0"]
+    resumed, *refusals, again = printed([same, *changed, same])
     assert resumed == again == "[8.0, 10.0] 2"
-    for change, said in zip(CHANGES, refused, strict=True):
+    for change, said in zip(CHANGES, refusals, strict=True):
         assert "out holds another campaign" in said, change
         if place is in_package:
             name = "helper" if "VALUE = 0" in change else "task"
@@ -188,12 +181,19 @@ def test_modules_that_are_imported_later_count_also_of_an_installed_package(tmp_
     assert "another campaign: lab/deeper.py changed. Use" in refused
 
 
-def test_an_environment_within_a_package_is_no_part_of_it(tmp_path, monkeypatch):
-    """A package that has its own environment beside its modules hashed thousands of files."""
-    other = tmp_path / "lab" / ".venv" / "lib" / "site-packages" / "other" / "__init__.py"
+def test_environments_and_locks_of_editors_within_a_package_are_no_part_of_it(
+    tmp_path, monkeypatch
+):
+    """
+    A package with its own environment beside its modules hashed thousands of files; a lock leads
+    nowhere.
+    """
+    package = tmp_path / "lab"
+    other = package / ".venv" / "lib" / "site-packages" / "other" / "__init__.py"
     other.parent.mkdir(parents=True)
-    for file in (other, tmp_path / "lab" / "__init__.py", tmp_path / "lab" / "task.py"):
+    for file in (other, package / "__init__.py", package / "task.py"):
         file.write_text("def task(x, seed):\n    return {'y': x}\n")
+    (package / ".#task.py").symlink_to("user@host.1")
     monkeypatch.syspath_prepend(tmp_path)
     task = importlib.import_module("lab.task").task
     found = [name for name in sources(task) if name.startswith("lab/")]
@@ -213,20 +213,6 @@ def test_modules_beside_a_script_count_whoever_imports_them_but_not_the_rest_of_
     assert "another campaign: later.py changed. Use" in refused
 
 
-def test_generated_code_is_a_task_and_counts(tmp_path):
-    """What exec defines belongs to no module."""
-    for factor, resumed in ((2, 0), (2, 2), (3, None)):
-        names = {}
-        exec(f"def task(x, seed): return {{'y': {factor} * x}}", names)
-        arguments = {"n_jobs": 2, "out": tmp_path}
-        if resumed is None:
-            with pytest.raises(ValueError, match="the task or a value it uses or fills changed"):
-                tl.run_campaign(names["task"], [{"x": 1}, {"x": 2}], **arguments)
-        else:
-            table = tl.run_campaign(names["task"], [{"x": 1}, {"x": 2}], **arguments)
-            assert (table["y"].tolist(), table.attrs["resumed"]) == ([2, 4], resumed)
-
-
 def scaled(x, seed, factor=1):
     return {"y": factor * x}
 
@@ -243,42 +229,23 @@ class Scaled:
         return {"y": self.factor * x}
 
 
+def generated(factor):
+    """What exec defines belongs to no module."""
+    names = {}
+    exec(f"def task(x, seed): return {{'y': {factor} * x}}", names)
+    return names["task"]
+
+
 @pytest.mark.parametrize(
-    "make", [lambda factor: functools.partial(scaled, factor=factor), closed_over, Scaled]
+    "make",
+    [lambda factor: functools.partial(scaled, factor=factor), closed_over, Scaled, generated],
 )
-def test_values_that_a_task_carries_count(tmp_path, make):
-    for _ in range(2):
-        table = tl.run_campaign(make(1), [{"x": 1}], n_jobs=1, out=tmp_path)
-    assert table.attrs["resumed"] == 1
-    for other in (2, 1.0, True):
-        with pytest.raises(ValueError, match="the task or a value it uses or fills changed"):
-            tl.run_campaign(make(other), [{"x": 1}], n_jobs=1, out=tmp_path)
+def test_values_and_code_that_a_task_carries_count(tmp_path, make):
+    def go(factor):
+        return tl.run_campaign(make(factor), [{"x": 1}, {"x": 2}], n_jobs=2, out=tmp_path)
 
-
-def test_processes_that_imported_an_earlier_version_are_not_used(tmp_path):
-    """joblib keeps its processes. Oracle: the task called in this process."""
-    script = """
-import importlib
-from pathlib import Path
-import trustlab as tl
-file = Path("edited.py")
-for value in (1, 2):
-    file.write_text(f"def task(x, seed): return {{'y': {value}}}")
-    edited = importlib.reload(edited) if value > 1 else importlib.import_module("edited")
-    table = tl.run_campaign(edited.task, [{"x": 1}, {"x": 2}], n_jobs=2)
-    print([*table["y"], edited.task(1, 0)["y"]])
-"""
-    command = [sys.executable, "-B", "-c", script]
-    environment = os.environ | {"PYTHONPATH": ROOT}
-    output = subprocess.check_output(command, cwd=tmp_path, env=environment, text=True)
-    assert output.splitlines() == ["[1, 1, 1]", "[2, 2, 2]"]
-
-
-def test_the_lock_of_an_editor_is_no_source(tmp_path, monkeypatch):
-    """A link that leads nowhere, beside a buffer that is not saved."""
-    (tmp_path / "locked").mkdir()
-    (tmp_path / "locked" / "__init__.py").write_text("def task(x, seed): return {'y': x}")
-    (tmp_path / "locked" / ".#task.py").symlink_to("user@host.1")
-    monkeypatch.syspath_prepend(tmp_path)
-    task = importlib.import_module("locked").task
-    assert list(tl.run_campaign(task, [{"x": 1}], out=tmp_path / "out")["y"]) == [1]
+    assert go(2)["y"].tolist() == [2, 4]
+    assert go(2).attrs["resumed"] == 2
+    for other in (3, 2.0, True):
+        with refused("the task or a value it uses or fills changed"):
+            go(other)

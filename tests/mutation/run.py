@@ -33,9 +33,10 @@ NOTICED_BY = {
     "campaign/test_resume.py": "campaign/run",
     "sessions/test_bags.py": "sessions/patterns",
     "sessions/test_recipes.py": "sessions/columns sessions/drafting sessions/patterns "
-    "sessions/recipe",
+    "sessions/reading sessions/recipe",
     "sessions/test_times.py": "sessions/columns sessions/reading sessions/resampling",
-    "sessions/test_remedies.py": "sessions/columns sessions/reading sessions/recipe",
+    "sessions/test_remedies.py": "sessions/columns sessions/reading sessions/recipe "
+    "sessions/tables",
     "sessions/test_real_logs.py": "sessions/folders",
     "sessions/test_writing.py": "sessions/bags",
     "identification/test_fit_result.py": "identification/noise identification/result",

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.sessions.logs import table_recipe
-from trustlab.sessions import read_session
+from trustlab.sessions import read_session, read_sessions
 
 
 @pytest.fixture
@@ -16,3 +16,14 @@ def read(tmp_path):
         return read_session(path, recipe=recipe and table_recipe(recipe), **options)
 
     return read
+
+
+@pytest.fixture
+def read_parts(tmp_path):
+    """A function that writes a table to a file and reads the parts that a recipe cuts it into."""
+
+    def read_parts(text, recipe):
+        (tmp_path / "run.csv").write_text(text)
+        return read_sessions(tmp_path, table_recipe(recipe))
+
+    return read_parts

@@ -16,8 +16,8 @@ NUMBER, TEXT = "std_msgs/msg/Float64", "std_msgs/msg/String"
 
 def table_recipe(text: str) -> Recipe:
     """Return a recipe for tables, whose times are seconds where it does not say."""
-    time = "" if "[time]" in text else '[time]\nunit = "s"\n'
-    return Recipe.from_toml(f'kind = "table"\n{time}{text}')
+    time = "" if "[time]" in text else '[time]\nunit = "s"'
+    return Recipe.from_toml(f'kind = "table"\n{text}\n{time}')
 
 
 def bag_recipe(text: str) -> Recipe:
@@ -60,6 +60,12 @@ class Bag:
         stamp = START + round(seconds * 1e9)
         self.entries.append((topic, stamp, kind, message(self.store, kind, values)))
 
+    def numbers(self, topic: str, times, values=0.5) -> "Bag":
+        """Add numbers at times [s]; return the bag."""
+        for t, value in zip(times, np.broadcast_to(values, len(times)), strict=True):
+            self.add(topic, t, NUMBER, data=float(value))
+        return self
+
     def write(self):
         """Write the bag; return its path."""
         serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
@@ -90,12 +96,3 @@ def write_table(table, path):
     else:
         table.to_csv(path, sep="\t" if ".tsv" in path.name else ",", index=False)
     return path
-
-
-def bag_of_numbers(path, times, topic="/e", **columns):
-    """Write a bag with one topic of numbers for each column, or for values of one topic."""
-    bag = Bag(path)
-    for name, values in columns.items():
-        for t, value in zip(times, values, strict=True):
-            bag.add(topic if name == "values" else f"/{name}", t, NUMBER, data=float(value))
-    return bag.write()

@@ -14,18 +14,16 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from rosbags.highlevel import AnyReader
 
-import trustlab as tl
-from trustlab.sessions import Metadata, Session, SessionError, read_session, write_session
+from tests.cases import refused
+from trustlab.sessions import Metadata, Session, read_session, write_session
 
 NAMES = ["a.csv", "a.parquet", "a.mcap"]
 
 
-def session(value=0.5, samples=50) -> Session:
+def session(value=0.5, samples=50):
     t = np.arange(samples) * 0.1
-    return Session(
-        pd.DataFrame({"p_r": value + 0.0 * t, "robot_x": np.sin(t)}, index=t),
-        Metadata(condition=value),
-    )
+    frame = pd.DataFrame({"p_r": value, "robot_x": np.sin(t)}, index=t)
+    return Session(frame, Metadata(condition=value))
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
@@ -48,25 +46,24 @@ PLAIN = st.recursive(
 )
 @pytest.mark.filterwarnings("ignore:.*a[.]")  # of values that are hardly meant
 def test_written_sessions_read_back_bit_for_bit(
-    tmp_path_factory, name, values, start, step, participant, more, synthetic
+    tmp_path, name, values, start, step, participant, more, synthetic
 ):
     t = start + step * np.arange(len(values))
     columns = {"robot_x": values, "p_r": values[::-1]}
     facts = Metadata(participant, more=more, synthetic=synthetic)
     original = Session(pd.DataFrame(columns, index=t), facts)
-    path = write_session(original, tmp_path_factory.mktemp("written") / name)
+    path = write_session(original, tmp_path / name)
     again = read_session(path)
     assert again == original
     assert type(again.metadata.participant) is type(participant)
     assert again.metadata.source == str(path)
-    for column in original:
-        assert again[column].tobytes() == original[column].tobytes()
+    assert again.table().to_numpy().tobytes() == original.table().to_numpy().tobytes()
     assert read_session(path, columns=["p_r"]).columns == ["p_r"]
-    assert os.listdir(path.parent) == [name]
+    assert os.listdir(tmp_path) == [name]
     # Negative control: the least change of one number, or of the metadata, is not equal.
     values = np.nextafter(original["p_r"], 0.5)
-    assert read_session(write_session(original.with_columns(p_r=values), path)) != original
-    assert read_session(write_session(original.with_metadata(trial=8), path)) != original
+    for other in (original.with_columns(p_r=values), original.with_metadata(trial=8)):
+        assert read_session(write_session(other, path)) != original
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -90,21 +87,20 @@ def test_others_read_what_is_written(tmp_path, name):
         assert columns == {f"/trustlab/{column}": expected[column].tolist() for column in expected}
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_table_that_was_spoiled_is_not_written(tmp_path, name):
+def test_a_table_that_was_spoiled_is_not_written(tmp_path):
     """It was, and could not be read."""
     spoiled = session()
     spoiled.data["note"] = "x"
-    with pytest.raises(SessionError, match="column 'note' is not in the vocabulary"):
-        write_session(spoiled, tmp_path / name)
+    with refused("column 'note' is not in the vocabulary"):
+        write_session(spoiled, tmp_path / "a.csv")
     assert os.listdir(tmp_path) == []
 
 
 def test_a_bag_that_lost_samples_is_noticed(tmp_path, monkeypatch):
-    to_json = tl.sessions.session.metadata_to_json
-    doubled = lambda metadata, samples: to_json(metadata, samples=2 * samples)  # noqa: E731
-    monkeypatch.setattr("trustlab.sessions.writing.metadata_to_json", doubled)
-    with pytest.raises(SessionError, match="has 50 samples where its metadata say 100"):
+    monkeypatch.setattr(
+        "trustlab.sessions.writing.metadata_to_json", lambda *_, samples: '{"samples": 100}'
+    )
+    with refused("has 50 samples where its metadata say 100"):
         read_session(write_session(session(), tmp_path / "half.mcap"))
 
 
@@ -194,7 +190,7 @@ def test_a_full_disk_is_a_sentence(tmp_path, name):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limits[1]))
-        with pytest.raises(SessionError, match=r"a\..*: cannot be written"):
+        with refused(r"a\..*: cannot be written"):
             write_session(session(samples=3000), tmp_path / name)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
