@@ -29,13 +29,18 @@ from scipy import optimize
 import trustlab as tl
 from notebooks import diagrams
 from tests.publishing.world import ROOT, make
+from trustlab import published_studies
 from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
 from trustlab.publishing import figures, only_parameters
 from trustlab.publishing.chapter import chapter, empty_chapter
 from trustlab.publishing.run import anonymous, commit, provenance
 from trustlab.publishing.tables import table_html
+from trustlab.reproduction import published_table
 from trustlab.reproduction.printed import half_unit
 from trustlab.reproduction.published import VERDICTS
+
+parametrize = pytest.mark.parametrize
+approx = pytest.approx
 
 # --- reports --------------------------------------------------------------------------------------
 
@@ -57,13 +62,13 @@ def test_every_claim_of_the_text_has_a_verdict():
     last |= {"Theorem ": 6, "Lemma ": 8, "Proposition ": 3, "Algorithm ": 3, "Remark ": 13}
     last |= {"Assumption ": 4, "Definition ": 4}
     text = {f"{kind}{n + 1}" for kind, count in last.items() for n in range(count)}
-    text |= {*tl.published_studies()}
+    text |= {*published_studies()}
     assert text <= {*CLAIMS.index}
     others = ("Abstract", "Chapter 1", "Section", "(", "Appendix A")
     assert all(claim.startswith(others) for claim in {*CLAIMS.index} - text)
 
 
-@pytest.mark.parametrize("claim", CLAIMS.index)
+@parametrize("claim", CLAIMS.index)
 def test_a_verdict_has_its_reason_and_a_section_that_is_there(claim):
     about = CLAIMS.loc[claim]
     assert about["verdict"] in VERDICTS
@@ -89,20 +94,20 @@ def test_verdicts_are_those_of_the_audit_and_of_the_reconstructions():
             rows = audit[audit["id"].str.startswith(claim.lower().replace(" ", "_") + "/")]
             held = "reproduced" if rows["verdict"].eq("reproduced").any() else "not checkable"
             assert verdict == ("differs" if rows["verdict"].eq("differs").any() else held), claim
-        elif claim in tl.published_studies():
+        elif claim in published_studies():
             assert verdict == ("differs" if claim in differ else "reproduced"), claim
             if verdict == "reproduced":
-                assert not tl.reconstruct(
-                    tl.published_studies()[claim], p_adjust="bonferroni"
-                ).attrs["left_out"]
+                assert not tl.reconstruct(published_studies()[claim], p_adjust="bonferroni").attrs[
+                    "left_out"
+                ]
 
 
 def test_numbers_in_the_reasons_are_computed_again():
     """Oracles: exact cycles, closed forms and the printed tables."""
-    models, table = tl.published_models(), tl.published_table("2.2")
+    models, table = tl.published_models(), published_table("2.2")
     pairs = {who: table.loc[["TSC_l", "TSC_u"], who].astype(float) for who in table}
     cycles = {who: tl.limit_cycle(models[who], *pair) for who, pair in pairs.items()}
-    steps = tl.published_table("2.1").loc["delta_TSC"].astype(float)
+    steps = published_table("2.1").loc["delta_TSC"].astype(float)
     bound = tl.steady_state_bounds(models["3"], *pairs["3"], steps["3"]).r_high
     third = cycles["3"]
     said = f"the limit cycle of r is {third.r_low:.3f} to {third.r_high:.3f}, and (2.33) gives"
@@ -117,7 +122,7 @@ def test_numbers_in_the_reasons_are_computed_again():
     said = CLAIMS.loc["Section 2.2.4", "why"]
     assert f"{min(by_hand):.0f} to {max(by_hand):.0f} % of the range" in said
     assert f"the {min(earned):.0f} to {max(earned):.0f} % under the printed thresholds" in said
-    fifth = tl.published_table("2.1")["5"].astype(float)
+    fifth = published_table("2.1")["5"].astype(float)
     robot = tl.RobotModel(
         fifth["a_pr"], fifth["P_r_min"], fifth["P_r_max"], fifth["P_h_max"], b=fifth["b_pr"]
     )
@@ -128,7 +133,7 @@ def test_numbers_in_the_reasons_are_computed_again():
     said = CLAIMS.loc["Section 2.4.1.2", "why"]
     assert f"{upper:.3f}" in said
     assert f"{by_formula:.3f}" in said
-    performed = tl.published_table("2.5").loc["C4"]
+    performed = published_table("2.5").loc["C4"]
     said = CLAIMS.loc["Table 2.5", "why"]
     people = [models[who].human for who in "12345"]
     best = optimize.minimize(
@@ -142,13 +147,13 @@ def test_numbers_in_the_reasons_are_computed_again():
     heaviest = tl.HapticDevice(0.005, 0.55, 100.0, 60.0).largest_mass()
     assert f"{1000 * heaviest:.1f} g" in CLAIMS.loc["(3.10)", "why"]
     least = tl.teleoperation.passivity_margin([2.0], [1.0, 2.0]).least_product
-    assert least == pytest.approx(0.25)
+    assert least == approx(0.25)
 
 
 def test_theorem_2_fails_for_participant_3_with_the_printed_gain_too():
     """And for most models whose parameters round to the printed ones."""
     thresholds, said = (0.0, 0.27), CLAIMS.loc["Theorem 2", "why"]
-    printed = tl.published_table("2.1")["3"]
+    printed = published_table("2.1")["3"]
     names = ["a_pr", "P_r_min", "P_r_max", "P_h_max", "a_r", "beta", "P_h_min", "delta_TSC"]
 
     def steady(values, **gain):
@@ -167,13 +172,13 @@ def test_theorem_2_fails_for_participant_3_with_the_printed_gain_too():
     half, rng = printed[names].map(half_unit).to_numpy(float), np.random.default_rng(0)
     sets = [steady(values + half * rng.uniform(-1.0, 1.0, 8)) for _ in range(150)]
     share = np.mean([cycle > bound for cycle, bound in sets])
-    assert share == pytest.approx(0.85, abs=0.06)
+    assert share == approx(0.85, abs=0.06)
     assert "about 85 % of the sets" in said
 
 
 def test_assumption_3_and_algorithm_2_fail_where_the_page_says():
     """At full load, or with it at rest, TSC_ub lies below TSC_lb; P_r stays below its maximum."""
-    table, at_rest = tl.published_table("2.2"), []
+    table, at_rest = published_table("2.2"), []
     for who in table:
         model = tl.published_models()[who]
         cycle = tl.limit_cycle(model, *table.loc[["TSC_l", "TSC_u"], who].astype(float))
@@ -192,7 +197,7 @@ def test_assumption_3_and_algorithm_2_fail_where_the_page_says():
     assert "stays below its maximum" in CLAIMS.loc["Algorithm 2", "why"]
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("answer", "said"),
     [
         ("Does it? **Yes: 3 of 4.** What to doubt: **all**.", "Yes: 3 of 4."),
@@ -275,7 +280,7 @@ def test_minus_and_percent_signs_are_set_in_prose_alone():
     assert said in answer.source
 
 
-@pytest.mark.parametrize("book", [True, False])
+@parametrize("book", [True, False])
 def test_lab_gets_a_png_with_its_caption_and_the_book_an_svg_without(book, monkeypatch):
     if book:
         monkeypatch.setenv("TRUSTLAB_REPORT", "1")
@@ -297,7 +302,7 @@ def test_lab_gets_a_png_with_its_caption_and_the_book_an_svg_without(book, monke
     assert "partial η²" in table["text/html"]
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("columns", "texts"),
     [
         (
@@ -356,7 +361,7 @@ def test_a_parameter_that_a_notebook_lacks_is_refused():
         only_parameters({"In": ["", NAMES, '# Parameters\nsesion_file = "mine.csv"\n']})
 
 
-@pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("[0-9]*.ipynb")), ids=lambda path: path.stem)
+@parametrize("path", sorted(NOTEBOOKS.glob("[0-9]*.ipynb")), ids=lambda path: path.stem)
 def test_every_notebook_refuses_parameters_it_lacks(path):
     code = [cell for cell in nbformat.read(path, 4).cells if cell.cell_type == "code"]
     assert code[0].metadata["tags"] == ["parameters"]
@@ -389,7 +394,7 @@ def test_parameters_of_the_page_on_ones_own_log_win_or_are_refused(tmp_path):
     assert run(2) == tl.read_session(log)
     assert run(2, window=100).metadata.more["performance_window"] == 100
     assert run(2, window=0).metadata.more["performance_window"] == 0
-    assert run(2, minutes=2).duration == pytest.approx(120)
+    assert run(2, minutes=2).duration == approx(120)
     with pytest.raises(tl.SessionError, match="start first"):
         run(2, minutes=-5)
     with pytest.raises(ValueError, match="n must be a whole number, from 100"):
@@ -420,7 +425,7 @@ def covered(diagram):
     return found + [(name, "the page") for name in cut]
 
 
-@pytest.mark.parametrize("draw", PICTURES, ids=lambda draw: draw.__name__)
+@parametrize("draw", PICTURES, ids=lambda draw: draw.__name__)
 def test_no_text_of_a_diagram_is_covered_or_cut(draw):
     diagram = draw()
     assert covered(diagram) == []

@@ -7,18 +7,21 @@ campaign's own files.
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from scipy import stats
 
 import trustlab as tl
 from trustlab.reproduction import read_calibration, write_calibration
 from trustlab.reproduction.calibration import Calibration, observed_effects, posterior_sample
 
+parametrize = pytest.mark.parametrize
+
 RANGES = {"a": (0.0, 1.0), "b": (-1.0, 1.0), "c": (0.0, 2.0)}
 
 
 def test_residuals_are_those_of_leaving_each_simulation_out():
     """Oracle: a regression by the normal equations for every simulation that is left out."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     low, high = np.transpose(list(RANGES.values()))
     drawn = pd.DataFrame(rng.uniform(low, high, (40, 3)), columns=list(RANGES))
     mixing = rng.normal(size=(3, 8))
@@ -41,7 +44,7 @@ def test_residuals_are_those_of_leaving_each_simulation_out():
 
 def test_intervals_cover_where_plain_residuals_do_not():
     """70 simulations of 26 effects that say little: negative control, the residuals as they are."""
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     covered = {"corrected": 0, "plain": 0}
     for _ in range(300):
         theta = rng.normal(size=71)
@@ -89,7 +92,7 @@ def made_up(printed_at):
     A calibration of Table 2.5 by a linear model whose true assumptions put effects at `printed_at`
     above what is printed.
     """
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     priors = {"attention_cost": (0.0, 0.3), "trust_bias": (-0.4, 0.4)}
     table = pd.DataFrame({name: rng.uniform(*ends, 600) for name, ends in priors.items()})
     away = table - pd.Series(TRUE)
@@ -147,7 +150,7 @@ def test_more_checks_than_the_posterior_has_draws_are_refused():
         made_up({}).checks(studies=5000)
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("arguments", "says"),
     [
         ({"priors": {"atention_cost": (0.0, 0.1)}}, "an assumption must be one of"),
@@ -159,7 +162,7 @@ def test_bad_input(arguments, says):
         tl.calibrate(**arguments)
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("people", "says"),
     [
         ({"trust_bias": [0.1]}, "people must be of class DataFrame"),

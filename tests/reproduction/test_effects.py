@@ -10,8 +10,12 @@ import pytest
 from scipy import stats
 
 import trustlab as tl
+from trustlab import simulated_effects
 from trustlab.reproduction.effects import COLUMNS, SILENT
 from trustlab.testbeds import TeleoperatorPopulation
+
+parametrize = pytest.mark.parametrize
+approx = pytest.approx
 
 BY_HAND = {
     # contrast: printed, least and greatest that rounding allows, p
@@ -31,7 +35,7 @@ ASSUMED = {"attention_cost": 0.05}
 
 @pytest.fixture(scope="module")
 def simulated():
-    return tl.simulated_effects(ASSUMED, n=4, seed=1).set_index("id")
+    return simulated_effects(ASSUMED, n=4, seed=1).set_index("id")
 
 
 def test_printed_effects_are_those_read_by_hand():
@@ -69,8 +73,8 @@ def test_the_model_predicts_what_its_exact_cycles_are():
         cycles = [tl.limit_cycle(model, *map(float, table.loc[label])) for table in thresholds]
         means.append([(cycle.mean_p_r, cycle.mean_r) for cycle in cycles])
     p_r, r = np.diff(means, axis=1)[:, 0].T
-    assert rows.loc["table_2.5/p_r/C3-C1", "model"] == pytest.approx(p_r.mean(), abs=3e-4)
-    assert rows.loc["table_2.5/r/C3-C1", "model"] == pytest.approx(r.mean(), abs=3e-3)
+    assert rows.loc["table_2.5/p_r/C3-C1", "model"] == approx(p_r.mean(), abs=3e-4)
+    assert rows.loc["table_2.5/r/C3-C1", "model"] == approx(r.mean(), abs=3e-3)
     # Suggested thresholds give four of five people a lower mean than their own.
     assert (p_r < 0.0).sum() == 4
     assert rows.loc["table_2.5/p_r/C3-C1", "model"] < 0.0 < rows.loc["table_2.5/p_r/C3-C1", "low"]
@@ -79,7 +83,7 @@ def test_the_model_predicts_what_its_exact_cycles_are():
 
 def test_assumptions_enter_the_studies_that_they_are_about():
     def error(assumptions):
-        frame = tl.simulated_effects(assumptions, n=3, seed=2, only="table_3.1", n_jobs=1)
+        frame = simulated_effects(assumptions, n=3, seed=2, only="table_3.1", n_jobs=1)
         return frame.set_index("id").loc["table_3.1/error/MI-M", "simulated"]
 
     plain = error({})
@@ -93,12 +97,12 @@ def test_assumptions_enter_the_studies_that_they_are_about():
             for scheme in ("MI", "M")
         )
         gaps.append(after["path_error"].mean() - before["path_error"].mean())
-    assert error({"compensation": 2.0}) == pytest.approx(np.mean(gaps), rel=1e-12)
+    assert error({"compensation": 2.0}) == approx(np.mean(gaps), rel=1e-12)
     with pytest.raises(ValueError, match="an assumption must be one of"):
-        tl.simulated_effects({"hurry": 1.0})
+        simulated_effects({"hurry": 1.0})
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("arguments", "message"),
     [
         ({"assumptions": {"fatigue_of_hand": 0.3}, "only": "table_2.6"}, "'attention_cost'"),
@@ -110,12 +114,12 @@ def test_assumptions_enter_the_studies_that_they_are_about():
 def test_what_has_no_effect_on_the_chosen_studies_is_refused(arguments, message):
     """It was taken, and named in the origin of the table."""
     with pytest.raises(ValueError, match=message):
-        tl.simulated_effects(**arguments, n=3)
+        simulated_effects(**arguments, n=3)
 
 
 def test_the_table_says_how_many_operators_were_run():
     """It said 3 where 5 were run, so that every condition comes first equally often."""
-    frame = tl.simulated_effects(n=3, only="table_2.6")
+    frame = simulated_effects(n=3, only="table_2.6")
     assert frame.attrs["n"] == {"ground_robot": 5}
     assert frame["operators"].tolist() == [5]
 
@@ -124,7 +128,7 @@ UAV = {"conditions": ["C1", "C2", "C3", "C4", "C5"], "testbed": "uav_following"}
 WORKLOAD = {"load_utilization": 0.5, "load_switching": 0.05}
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("id", "bed", "assumed", "scale"),
     [
         ("uav/p_r/C3-C1", UAV, ASSUMED, 1.0),
@@ -135,16 +139,16 @@ WORKLOAD = {"load_utilization": 0.5, "load_switching": 0.05}
 )
 def test_simulated_effects_are_those_of_a_virtual_study(id, bed, assumed, scale):
     printed_in, measure, contrast = id.split("/")
-    effects = tl.simulated_effects(assumed, n=10, seed=1, only=printed_in).set_index("id")
+    effects = simulated_effects(assumed, n=10, seed=1, only=printed_in).set_index("id")
     study = tl.virtual_study(n=10, seed=1, assumptions=assumed, **bed)
     wide = scale * study.measures.pivot_table(measure, "participant", "condition", observed=True)
     after, before = wide[contrast.split("-")].dropna().to_numpy().T
     difference = after - before
     row = effects.loc[id]
     assert row["operators"] == difference.size
-    assert row["simulated"] == pytest.approx(difference.mean())
-    assert row["se"] == pytest.approx(stats.sem(difference))
-    assert row["p_simulated"] == pytest.approx(stats.ttest_rel(after, before).pvalue)
+    assert row["simulated"] == approx(difference.mean())
+    assert row["se"] == approx(stats.sem(difference))
+    assert row["p_simulated"] == approx(stats.ttest_rel(after, before).pvalue)
     rounding, gap = row["high"] - row["printed"], abs(row["simulated"] - row["printed"])
     assert row["agrees"] == (gap <= rounding + 2.0 * row["se"])
     if assumed is WORKLOAD:
@@ -155,7 +159,7 @@ def test_models_of_trust_change_what_follows_trust_and_nothing_else():
     quick = tl.trust.TrustInLoop(tl.trust.MODELS["performance"](a=5.0, gain=1.0), every=0.5)
     arguments = {"n": 3, "only": "teleop", "n_jobs": 1}
     usual, changed = (
-        tl.simulated_effects(**arguments, trust=trust).set_index("id")["simulated"]
+        simulated_effects(**arguments, trust=trust).set_index("id")["simulated"]
         for trust in (None, quick)
     )
     assert usual["teleop/error/OMI-M"] == changed["teleop/error/OMI-M"]

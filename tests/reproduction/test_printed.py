@@ -9,8 +9,11 @@ from trustlab.reproduction import PublishedStudyError, compare, published_models
 from trustlab.reproduction.audit.catalogue import PrintedNumber
 from trustlab.reproduction.printed import half_unit, printed_interval
 
+parametrize = pytest.mark.parametrize
+approx = pytest.approx
 
-@pytest.mark.parametrize(
+
+@parametrize(
     ("text", "low", "high"),
     [
         ("0.50", 0.495, 0.505),
@@ -22,11 +25,11 @@ from trustlab.reproduction.printed import half_unit, printed_interval
     ],
 )
 def test_printed_text_keeps_its_rounding(text, low, high):
-    assert printed_interval(text) == pytest.approx((low, high))
+    assert printed_interval(text) == approx((low, high))
     number = PrintedNumber("x", "Table", "x", text)
-    assert number.compatible == pytest.approx((low, high))
+    assert number.compatible == approx((low, high))
     if math.isfinite(high - low):
-        assert [half_unit(text), number.half] == pytest.approx([(high - low) / 2] * 2)
+        assert [half_unit(text), number.half] == approx([(high - low) / 2] * 2)
 
 
 def test_printed_words_have_values():
@@ -45,10 +48,10 @@ def test_models_have_the_printed_parameters():
     table = published_table("2.1")
     for name in table.columns:
         assert round(models[name].robot.b, 4) == float(table.loc["b_pr", name])
-        assert models[name].human.b == pytest.approx(float(table.loc["b_r", name]), abs=1e-12)
+        assert models[name].human.b == approx(float(table.loc["b_r", name]), abs=1e-12)
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("ours", "printed", "digits"),
     [
         (0.39, "0.390", 3),
@@ -96,7 +99,7 @@ def test_the_eleven_studies_are_there_as_printed():
     assert not studies["teleop.tlx"].corrected
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("changes", "message"),
     [
         ({"anova": {"F": "nan"}}, r"mine: anova\.F must be a number"),

@@ -68,7 +68,7 @@ def test_other_sets():
     assert np.isfinite(capabilities.ratings[:, 1:]).sum() == 852
     assert np.isfinite(capabilities.events.dt).sum(axis=0).tolist() == [852, 568, 284]
     assert_allclose(np.unique(capabilities.ratings[:, 1:])[:7], np.arange(7) / 6)
-    assert np.isfinite(tl.fit_trust(capabilities, "performance").log_likelihood)
+    assert np.isfinite(log_likelihood(tl.trust.MODELS["performance"](), capabilities)).all()
 
 
 def test_a_labs_file_by_recipe(tmp_path):

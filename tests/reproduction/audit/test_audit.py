@@ -21,6 +21,9 @@ from trustlab.reproduction.audit.check import VERDICTS, Follows
 from trustlab.reproduction.audit.consistency import study_conflicts
 from trustlab.reproduction.audit.relations import relations
 
+parametrize = pytest.mark.parametrize
+approx = pytest.approx
+
 PUBLISHED = Path(__file__).parents[3] / "data" / "published"
 COLUMNS = ["id", "where", "quantity", "printed", "recomputed", "low", "high", "verdict", "reason"]
 COLUMNS += ["formula", "inputs"]
@@ -75,7 +78,7 @@ def test_the_scale_of_the_small_studies_is_not_held_against_the_large_ones(verdi
 def test_utilization_of_table_2_2_is_recomputed_by_one_reading(verdicts):
     """(2.20) with the gain of (2.3): .647 for participant 1, who is printed with .63."""
     first = verdicts.loc["table_2.2/r_l/1"]
-    assert first["recomputed"] == pytest.approx(0.647, abs=5e-4)
+    assert first["recomputed"] == approx(0.647, abs=5e-4)
     assert first["verdict"] == "within rounding"
 
 
@@ -115,11 +118,11 @@ def test_every_printed_number_is_there(verdicts):
 
 
 def hand(verdicts, id, value, rel=1e-9):
-    assert verdicts.loc[id, "recomputed"] == pytest.approx(float(value), rel=rel)
+    assert verdicts.loc[id, "recomputed"] == approx(float(value), rel=rel)
     return verdicts.loc[id, "verdict"]
 
 
-@pytest.mark.parametrize("p", ["1", "2", "3", "4", "5"])
+@parametrize("p", ["1", "2", "3", "4", "5"])
 def test_delta_tsc_by_hand(verdicts, p):
     """What is printed for three participants is the difference, to its last digit."""
     verdict = "reproduced" if p in "13" else "differs"
@@ -176,7 +179,7 @@ SPOILED = {
 }
 
 
-@pytest.mark.parametrize(("id", "text"), SPOILED.items())
+@parametrize(("id", "text"), SPOILED.items())
 def test_a_spoiled_number_differs(id, text, verdicts):
     assert verdicts.loc[id, "verdict"] == "reproduced"
     assert quick({id: text})[id].verdict == "differs"
@@ -201,9 +204,9 @@ def test_a_gain_that_breaks_its_equation_is_no_excuse_but_is_named(verdicts):
     scale = p_r_max * p_h_max - p_r_min * p_h_min
     a_t, b_t = (p_h_max + p_h_min) / scale, (p_r_max + p_r_min) / scale
     gap = b_t * 1.01e-4 / (1.0 - a_pr)
-    assert a_t * p_r_min + gap - b_t * p_h_min == pytest.approx(-0.319, abs=0.002)
+    assert a_t * p_r_min + gap - b_t * p_h_min == approx(-0.319, abs=0.002)
     upper = (a_t * b_pr / (1.0 - a_pr) - b_t) * p_h_max + a_t * p_r_min - gap
-    assert upper == pytest.approx(0.507, abs=0.005)
+    assert upper == approx(0.507, abs=0.005)
     assert f"{(1.0 - a_pr) * (p_r_max - p_r_min) / p_h_max:.4f}" == "0.0010"
     assert "does not obey (2.3)" in verdicts.loc["table_2.1/TSC_ub/5", "reason"]
 
@@ -310,7 +313,7 @@ def test_no_certain_slip_within_rounding():
             assert not ((found >= least) & (found <= most)).any(), (check.of, way.label)
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("changes", "message"),
     [
         ({"table_2.1/a_r/9": "1"}, "no printed number has the id"),

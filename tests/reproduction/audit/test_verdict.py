@@ -6,6 +6,7 @@ the bounds used.
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from numpy.random import default_rng
 from scipy import stats
 
 from trustlab.reproduction.audit.catalogue import PrintedNumber, printed_numbers
@@ -13,6 +14,8 @@ from trustlab.reproduction.audit.check import Follows, Formula, NotPrintedError
 from trustlab.reproduction.audit.consistency import sample_checks
 from trustlab.reproduction.audit.relations import RELATIONS, chi2_of_epsilon, relations
 from trustlab.studies.anova import mauchly_p_value
+
+approx = pytest.approx
 
 
 def numbers_of(**texts):
@@ -32,8 +35,8 @@ def test_a_range_holds_every_point_of_the_box(a, b, c):
     follows = Follows("x", "", compute, ids={name: name for name in "abc"})
     value, low, high = follows.range(follows, numbers)
     middle = {name: numbers[name].value for name in "abc"}
-    assert value == pytest.approx(follows.at(follows, numbers, middle)[0])
-    draws = np.random.default_rng(0).uniform(-0.005, 0.005, (3, 500))
+    assert value == approx(follows.at(follows, numbers, middle)[0])
+    draws = default_rng(0).uniform(-0.005, 0.005, (3, 500))
     values = {k: middle[k] + draws[i] for i, k in enumerate(middle)}
     found = follows.at(follows, numbers, values)[0]
     assert found.min() >= low - 1e-12
@@ -63,7 +66,7 @@ def test_verdicts_at_their_edges():
     for text in ("6.4", "5.70"):
         assert verdict(text).verdict == "differs"
     row = verdict("6.2")
-    assert (row.low, row.recomputed, row.high) == pytest.approx((5.7525, 6.0, 6.2525))
+    assert (row.low, row.recomputed, row.high) == approx((5.7525, 6.0, 6.2525))
     assert "It should be 6.0." in verdict("6.9").reason
 
 
@@ -106,7 +109,7 @@ def test_items_that_fit():
 def test_extreme_chi2_of_epsilon_by_brute_force():
     # Random eigenvalues of p = 4 contrasts: no χ² below the least at its ε, and the least is
     # reached.
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     values = rng.dirichlet(np.ones(4) * 2.0, 20000)
     epsilon = 1.0 / (4.0 * (values**2).sum(axis=1))
     n, p = 36, 4
@@ -119,7 +122,7 @@ def test_extreme_chi2_of_epsilon_by_brute_force():
     assert np.min(chi2 - low) < 0.05
     one = np.array([1.0 + 0.9, *[1.0 - 0.3] * 3])
     at = -(n - 1) * rho * np.log(one.prod())
-    assert chi2_of_epsilon(4.0 / (one**2).sum(), 36.0, 5, False) == pytest.approx(at)
+    assert chi2_of_epsilon(4.0 / (one**2).sum(), 36.0, 5, False) == approx(at)
 
 
 def test_second_order_p_is_what_was_printed():

@@ -12,8 +12,11 @@ from scipy import stats
 
 import trustlab as tl
 from tests import textbook
+from trustlab import PublishedStudy, reconstruct
 from trustlab.reproduction import ReconstructionError
 from trustlab.reproduction.reconstruction import search
+
+parametrize = pytest.mark.parametrize
 
 STUDIES = tl.published_studies()
 SLIPS = {"teleop.tracking_error": {"anova.df1"}}
@@ -32,12 +35,12 @@ def misses(study, frame):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", STUDIES)
-@pytest.mark.parametrize("seeds", [2, pytest.param(20, marks=pytest.mark.long)])
+@parametrize("name", STUDIES)
+@parametrize("seeds", [2, pytest.param(20, marks=pytest.mark.long)])
 def test_every_seed_has_all_printed_statistics(name, seeds):
     study, seen = STUDIES[name], set()
     for seed in range(seeds):
-        frame = tl.reconstruct(study, seed=seed)
+        frame = reconstruct(study, seed=seed)
         assert list(frame.columns) == ["subject", "condition", "value"]
         assert len(frame) == study.n * study.k
         assert misses(study, frame) == SLIPS.get(name, set())
@@ -50,13 +53,13 @@ def test_every_seed_has_all_printed_statistics(name, seeds):
 
 def test_the_comparison_sees_a_change():
     study = STUDIES["uav.tlx"]
-    frame = tl.reconstruct(study, 0)
+    frame = reconstruct(study, 0)
     frame.loc[frame["condition"] == "C3", "value"] += 0.5
     assert {"mean.C3", "anova.F", "pairs.C2-C3"} <= misses(study, frame)
 
 
 def test_data_say_that_they_are_reconstructed():
-    attrs = tl.reconstruct(STUDIES["teleop.tracking_error"], 0).attrs
+    attrs = reconstruct(STUDIES["teleop.tracking_error"], 0).attrs
     assert attrs["reconstructed"] is True
     assert "not measurements" in attrs["note"]
     assert json.loads(json.dumps(attrs)) == attrs
@@ -64,7 +67,7 @@ def test_data_say_that_they_are_reconstructed():
 
 
 def test_missing_cells_are_inferred():
-    study = tl.PublishedStudy(
+    study = PublishedStudy(
         "small",
         24,
         mean={"A": "5.00", "B": "4.20"},
@@ -74,7 +77,7 @@ def test_missing_cells_are_inferred():
         pairs={"A-B": "0.020"},
         scale=(1, 7),
     )
-    values = values_of(study, tl.reconstruct(study))
+    values = values_of(study, reconstruct(study))
     assert 1.0 < values[:, 2].mean() < 7.0
     # Means, SDs and p of A and B are printed: the correlation is pinned down by var(a − b) = n (m_a
     # − m_b)²/t², but for their rounding.
@@ -85,7 +88,7 @@ def test_missing_cells_are_inferred():
 
 def test_bad_input_is_refused():
     with pytest.raises(ValueError, match=r"got str; published_studies\(\) has"):
-        tl.reconstruct("uav.tlx")
+        reconstruct("uav.tlx")
 
 
 def edge(name):
@@ -108,12 +111,12 @@ def edge(name):
     anova = textbook.printed_anova(found, values.shape)
     del anova["p"]
     cells = textbook.printed_cells(found, digits, 2)
-    return tl.PublishedStudy("s", len(values), **cells, anova=anova, scale=scale)
+    return PublishedStudy("s", len(values), **cells, anova=anova, scale=scale)
 
 
 def without_difference(p):
     cells = {"mean": {"A": "5.0", "B": "5.0"}, "sd": {"A": "1.0", "B": "1.1"}}
-    return tl.PublishedStudy("s", 10, **cells, t_test={"t": "0.00", "p": p})
+    return PublishedStudy("s", 10, **cells, t_test={"t": "0.00", "p": p})
 
 
 STUDIES_AT_THE_EDGE = {
@@ -135,7 +138,7 @@ def test_no_data_is_an_error_that_says_what_the_closest_miss(monkeypatch):
     """Unadjusted, the pairs of this study are too far apart for its F."""
     monkeypatch.setattr(search, "STARTS", 6)
     with pytest.raises(ReconstructionError, match="starts; the closest miss "):
-        tl.reconstruct(STUDIES["uav.human_performance"], p_adjust="none")
+        reconstruct(STUDIES["uav.human_performance"], p_adjust="none")
 
 
 def test_where_no_pairs_are_printed_one_adjustment_is_tried(monkeypatch):
@@ -143,15 +146,15 @@ def test_where_no_pairs_are_printed_one_adjustment_is_tried(monkeypatch):
     monkeypatch.setattr(search, "STARTS", 3)
     cells = {"mean": {"A": "0.00", "B": "1.00", "C": "2.00"}}
     cells["sd"] = {"A": "1.00", "B": "1.00", "C": "10.00"}
-    study = tl.PublishedStudy("s", 10, **cells, anova={"F": "0.21"})
+    study = PublishedStudy("s", 10, **cells, anova={"F": "0.21"})
     with pytest.raises(ReconstructionError, match="p_adjust='bonferroni': No data"):
-        tl.reconstruct(study)
+        reconstruct(study)
 
 
-@pytest.mark.parametrize("name", STUDIES_AT_THE_EDGE)
+@parametrize("name", STUDIES_AT_THE_EDGE)
 def test_true_studies_at_the_edge_are_found(name):
     study = STUDIES_AT_THE_EDGE[name]
-    frame = tl.reconstruct(study)
+    frame = reconstruct(study)
     assert frame.attrs["left_out"] == {}
     values = values_of(study, frame)
     assert values.shape == (study.n, study.k)
