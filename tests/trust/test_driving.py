@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -99,6 +100,10 @@ def test_a_model_of_ones_own_drives_loops_and_teams():
     course = TrustCourse(TrustInLoop(Half(), every=0.1, start=0.2), 0.1)
     shares = [course.step(p) for p in (1.0, 0.0, 3.0, -9.0)]
     assert shares == approx([0.6, 0.3, 1.0, 0.0], abs=1e-14)
+    ends = tl.TrustModel(a=0.1, b=0.1, p_min=0.2, p_max=0.6, t_min=1.0, t_max=3.0)
+    part = TrustInLoop(Half(), every=0.1, start=0.2).part(ends, ends, 0.1)
+    state = SimpleNamespace(p_r=0.4, p_h=0.4, trust_rh=2.0)
+    assert part(state) == approx((1.7, 2.0))  # (.2 + .5)/2 of the range, and what does not change
     run = simulate_teleoperation("TMIG", trust=TrustInLoop(Half(), every=0.5), duration=2.0)
     team = simulate_team(graph(), trust=Half(), duration=3.0)
     for trust in (run["trust_hr"], team.trust):

@@ -114,9 +114,20 @@ def test_counts_begin_within_the_scale_and_in_its_middle_without_a_rating():
     assert middle == approx(0.5)
 
 
-def test_ranges_are_open_or_end_at_1():
-    ranges = [each for model in MODELS.values() for each in model.parameters().values()]
-    assert {high for _, _, high in ranges} == {1.0, np.inf}
+def test_ranges_are_open_or_end_at_1_and_only_effects_may_be_negative():
+    models = (MODELS | BASELINES).items()
+    ranges = [(name, *each) for name, model in models for each in model.parameters().values()]
+    assert {high for *_, high in ranges} == {1.0, np.inf}
+    negative = {(name, low) for name, _, low, _ in ranges if low < 0.0}
+    assert negative == {("series", -1.0), ("optimo", -1.0)}
+
+
+@parametrize("name", ["performance", "asymmetric"])
+def test_an_event_of_two_units_is_two_events_of_one(name):
+    model, one = MODELS[name](), Event(p_r=np.array([1.0]))
+    start = model.start(np.array([0.2]))
+    twice = model.step(model.step(start, one), one)
+    assert model.step(start, one._replace(dt=2.0)).mean[0] == approx(twice.mean[0])
 
 
 def matrices(name, truth, signals):

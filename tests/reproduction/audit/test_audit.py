@@ -137,6 +137,7 @@ def test_statistics_by_hand(verdicts):
         ("teleop.tracking_error/anova.df1", 70.628 / 29, "differs"),
         ("uav.tlx/epsilon", 114.63 / 140, "reproduced"),
         ("uav.tlx/n", 20 - 2, "differs"),
+        ("claim/section_2_4_2_4/uav_robot_performance_c2_over_c1", 5400 / 493, "reproduced"),
         ("table_2.6/C2/sd", spread, "reproduced"),
         ("section_2_2_2/weights", 1001 / 1000, "differs"),
     ):
