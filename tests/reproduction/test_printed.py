@@ -6,6 +6,7 @@ import pytest
 
 import trustlab as tl
 from tests.cases import refused
+from tests.reproduction.cases import study_of
 from trustlab.reproduction import PublishedStudyError, compare, published_models, published_table
 from trustlab.reproduction.audit.catalogue import PrintedNumber
 from trustlab.reproduction.printed import half_unit, printed_interval
@@ -93,22 +94,24 @@ def test_studies_say_what_is_missing_and_whether_they_are_corrected():
 
 
 @parametrize(
-    ("changes", "message"),
+    ("printed", "message"),
     [
-        ({"anova": {"F": "nan"}}, r"mine: anova\.F must be a number"),
-        ({"sd": {"A": "1", "D": "1"}}, "a condition of mean and sd must be one of 'A', 'B', 'C'"),
-        ({"pairs": {"A-C": ".002", "C-A": ".002"}}, "pairs: a pair was given twice"),
-        ({"pairs": {"A-D": ".002"}}, "'A-D' does not name two of the conditions A, B, C"),
-        ({"conditions": ("A", "B", 3)}, "conditions must be a list of names"),
-        ({"scale": (7, 1)}, "scale must be the lowest and the highest"),
+        ("anova.F = nan", r"s: anova\.F must be a number"),
+        ("sd.D = 1", "a condition of mean and sd must be one of 'A', 'B', 'C'"),
+        ("pairs.A-C = .002, pairs.C-A = .002", "pairs: a pair was given twice"),
+        ("pairs.A-D = .002", "'A-D' does not name two of the conditions A, B, C"),
+        ("scale = 7 to 1", "scale must be the lowest and the highest"),
     ],
 )
-def test_what_is_no_number_is_refused_by_field(changes, message):
-    printed = {"n": 20, "mean": {"A": "5.0", "B": "4.25"}, "sd": {"A": "1.0"}}
+def test_what_is_no_number_is_refused_by_field(printed, message):
     with pytest.raises(PublishedStudyError, match=message):
-        tl.PublishedStudy("mine", **printed | {"conditions": ("A", "B", "C")} | changes)
+        study_of(f"n = 20, mean.A = 5.0, mean.B = 4.25, {printed}", conditions=("A", "B", "C"))
+
+
+def test_conditions_are_names():
+    with refused("conditions must be a list of names"):
+        study_of("n = 20, mean.A = 5.0", conditions=("A", 3))
 
 
 def test_conditions_may_come_from_an_iterator():
-    study = tl.PublishedStudy("s", conditions=iter("AB"), n=12, mean={"A": "3", "B": "4"}, sd={})
-    assert study.conditions == ("A", "B")
+    assert study_of("n = 12, mean.A = 3", conditions=iter("AB")).conditions == ("A", "B")

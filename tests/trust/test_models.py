@@ -21,7 +21,7 @@ from trustlab.trust.likelihood import log_likelihood
 parametrize = pytest.mark.parametrize
 approx = pytest.approx
 
-LINEAR = ["performance", "series", "decision_field", "asymmetric", "memory_bias"]
+LINEAR = ["series", "decision_field", "asymmetric", "memory_bias"]
 
 
 def panel(people, seed=0, resolution=1e-4):
@@ -137,10 +137,7 @@ def matrices(name, truth, signals):
     """
     p, mode, fault = signals
     v = vars(truth)
-    if name == "performance":
-        keep = np.full(p.size, np.exp(-v["a"]))
-        shift = v["gain"] * (1.0 - keep) * p
-    elif name == "asymmetric":
+    if name == "asymmetric":
         keep = np.exp(-np.where(p == 1.0, v["rate_success"], v["rate_failure"]))
         shift = (1.0 - keep) * np.where(p == 1.0, v["level_success"], v["level_failure"])
     elif name == "series":

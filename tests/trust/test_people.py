@@ -132,22 +132,24 @@ def rows(**columns):
     return pd.DataFrame(table | columns)
 
 
-@parametrize(
-    ("columns", "message"),
+@pytest.mark.parametrize(
+    ("row", "column", "value", "message"),
     [
-        ({"person": [*"aa", None, *"bbb"]}, "row 2 .* no person"),
-        ({"trial": ["first", "2", "3"] * 2}, "row 0 .* no number of a trial"),
-        ({"trial": [0, 1, 1, 0, 1, 2]}, "row 2 .* a second time"),
-        ({"rating": ["a", *[0.5] * 5]}, "row 0 .* rating 'a'"),
-        ({"p_r": [np.nan, 1, 1, np.nan, np.nan, 1]}, "row 4 .* p_r nan; it must not be missing"),
-        ({"p_h": 55.0}, "row 1 .* p_h 55.0, outside the scale from 0 to 1"),
-        ({"dt": -1.0}, "dt -1.0, outside the scale from 0 to inf"),
+        (2, "person", None, "row 2 .* no person"),
+        (0, "trial", "first", "row 0 .* no number of a trial"),
+        (2, "trial", 1, "row 2 .* a second time"),
+        (0, "rating", "a", "row 0 .* rating 'a'"),
+        (4, "p_r", np.nan, "row 4 .* p_r nan; it must not be missing"),
+        (1, "p_h", 55.0, "row 1 .* p_h 55.0, outside the scale from 0 to 1"),
+        (1, "dt", -1.0, "dt -1.0, outside the scale from 0 to inf"),
     ],
 )
-def test_rows_that_are_no_trials_are_refused(columns, message):
+def test_rows_that_are_no_trials_are_refused(row, column, value, message):
     """They were counted as further trials, sorted by the alphabet, or fitted as they were."""
+    table = rows(p_h=0.5, dt=1.0).astype(object)
+    table.loc[row, column] = value
     with refused(message):
-        read_people(rows(**columns))
+        read_people(table)
 
 
 def test_trials_in_text_are_in_the_order_of_numbers():

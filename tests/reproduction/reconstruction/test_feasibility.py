@@ -18,6 +18,7 @@ from scipy import stats
 
 import trustlab as tl
 from tests import textbook
+from tests.reproduction.cases import study_of
 from trustlab import PublishedStudy, feasibility
 from trustlab.reproduction.reconstruction.constraints import (
     ADJUSTMENTS,
@@ -159,13 +160,9 @@ def test_the_printed_studies_are_consistent_with_bonferroni(names, monkeypatch):
 def test_a_paper_that_always_corrects_is_read_as_such(monkeypatch):
     """True data, printed with Greenhouse–Geisser degrees of freedom and no test of sphericity."""
     monkeypatch.setattr(f"{SEARCH}.STARTS", 12)
-    printed = PublishedStudy(
-        "gg",
-        n=12,
-        mean={"C1": "1.37", "C2": "1.01", "C3": "1.56"},
-        sd={"C1": "1.47", "C2": "1.91", "C3": "1.34"},
-        anova={"F": "0.63", "df1": "1.60", "df2": "17.64", "p": ".509"},
-    )
+    cells = "mean.A = 1.37, mean.B = 1.01, mean.C = 1.56, sd.A = 1.47, sd.B = 1.91, sd.C = 1.34"
+    anova = "anova.F = 0.63, anova.df1 = 1.60, anova.df2 = 17.64, anova.p = .509"
+    printed = study_of(f"n = 12, {cells}, {anova}")
     assert feasibility(printed).feasible
     violated = feasibility(replace(printed, not_spherical=True))
     assert violated.feasible is None
@@ -175,52 +172,74 @@ def test_a_paper_that_always_corrects_is_read_as_such(monkeypatch):
     assert set(table.index[table["in_conflict"]]) == set(violated.conflict)
 
 
-SDS = {"A": "1.0", "B": "1.10", "F": "0.90"}
-THREE = PublishedStudy("three", 20, mean={"A": "5.0", "B": "4.25", "F": "3.50"}, sd=SDS)
+THREE = "n = 20, mean.A = 5.0, mean.B = 4.25, mean.F = 3.50, sd.A = 1.0, sd.B = 1.10, sd.F = 0.90"
 # var(a − b) ≥ (s_a − s_b)², so that t is at most √n |m_a − m_b|/|s_a − s_b|.
-TWO = PublishedStudy("two", 36, mean={"A": "5.0", "B": "6.0"}, sd={"A": "1.0", "B": "2.0"})
-TLX = STUDIES["uav.tlx"]
+TWO = "n = 36, mean.A = 5.0, mean.B = 6.0, sd.A = 1.0, sd.B = 2.0"
+# F is the square of t.
+ALIKE = "n = 10, mean.A = 1.00, mean.B = 2.00, sd.A = 1.00, sd.B = 1.00, t_test.t = -2.50"
+TLX = STUDIES["uav.tlx"].table()["printed"].items()
+TLX = ", ".join(["n = 36", *(f"{name} = {text}" for name, text in TLX)])
 
 
 @parametrize(
-    ("study", "changes", "name", "reason"),
+    ("printed", "names", "reason"),
     [
-        (TLX, {"anova": {**TLX.anova, "eta2": "0.164"}}, "anova.eta2", "= 0.164, but F gives"),
-        (TLX, {"anova": {**TLX.anova, "p": "0.03"}}, "anova.p", "= 0.03, but F and"),
-        (TLX, {"anova": {**TLX.anova, "df1": "3.375"}}, "anova.df1", "3.375 needs ε"),
-        (TLX, {"anova": {**TLX.anova, "df2": "124.63"}}, "anova.df2", "124.63 needs ε"),
-        (THREE, {"anova": {"F": "8.1", "p": "1.2"}}, "anova.p", "must lie between 0 and 1"),
-        (THREE, {"anova": {"F": "8.1", "p": "<0"}}, "anova.p", "must lie between 0 and 1"),
-        (THREE, {"anova": {"eta2": "1.3"}}, "anova.eta2", "must lie between 0 and 1"),
-        (THREE, {"epsilon": "0.3"}, "epsilon", "must lie between 0.5 and 1"),
-        (THREE, {"epsilon": "1.2"}, "epsilon", "must lie between 0.5 and 1"),
-        (THREE, {"pairs": {"A-F": "1.2"}}, "pairs.A-F", "must lie between 0 and 1"),
-        (THREE, {"mauchly": {"df": "9"}}, "mauchly.df", "must be 2 for 3 conditions"),
-        (THREE, {"mauchly": {"chi2": "9.9", "p": ".5"}}, "mauchly.p", "χ² gives 0.006"),
-        (THREE, {"anova": {"F": "-3"}}, "anova.F", "must be 0 or more$"),
-        (THREE, {"sd": SDS | {"A": "-1"}}, "sd.A", "must be 0 or more$"),
+        (f"{TLX}, anova.eta2 = 0.164", "anova.eta2", "= 0.164, but F gives"),
+        (f"{TLX}, anova.p = 0.03", "anova.p", "= 0.03, but F and"),
+        (f"{TLX}, anova.df1 = 3.375", "anova.df1", "3.375 needs ε"),
+        (f"{TLX}, anova.df2 = 124.63", "anova.df2", "124.63 needs ε"),
+        (f"{THREE}, anova.F = 8.1, anova.p = 1.2", "anova.p", "must lie between 0 and 1"),
+        (f"{THREE}, anova.F = 8.1, anova.p = <0", "anova.p", "must lie between 0 and 1"),
+        (f"{THREE}, anova.eta2 = 1.3", "anova.eta2", "must lie between 0 and 1"),
+        (f"{THREE}, epsilon = 0.3", "epsilon", "must lie between 0.5 and 1"),
+        (f"{THREE}, epsilon = 1.2", "epsilon", "must lie between 0.5 and 1"),
+        (f"{THREE}, pairs.A-F = 1.2", "pairs.A-F", "must lie between 0 and 1"),
+        (f"{THREE}, mauchly.df = 9", "mauchly.df", "must be 2 for 3 conditions"),
+        (f"{THREE}, mauchly.chi2 = 9.9, mauchly.p = .5", "mauchly.p", "χ² gives 0.006"),
+        (f"{THREE}, anova.F = -3", "anova.F", "must be 0 or more$"),
+        (f"{THREE}, sd.A = -1", "sd.A", "must be 0 or more$"),
         # All but one at 0: at most the mean times √n, 5.05 √20 = 22.6.
-        (THREE, {"sd": SDS | {"A": "23.7"}, "scale": (0, np.inf)}, "sd.A", "0 to inf with mean 5"),
-        (THREE, {"mean": {"A": ">7"}, "scale": (1, 7)}, "mean.A", "7 on its scale"),
-        (THREE, {"t_test": {"t": "2"}}, "t_test.t", "compares two conditions, and there are 3"),
-        (THREE, {"n": 3, "mauchly": {"p": ".2"}, "conditions": [*"ABFG"]}, "mauchly.p", "too few"),
-        (TWO, {"t_test": {"t": "9.5"}}, "t_test.t", "means and standard deviations allow"),
-        (TWO, {"t_test": {"p": ".5"}}, "t_test.p", "means and standard deviations allow"),
-        (TWO, {"t_test": {"t": "2.10", "p": ".50"}}, "t_test.p", "t gives 0.04"),
+        (
+            f"{THREE}, sd.A = 23.7, scale = 0 to inf",
+            "sd.A",
+            "for 20 values from 0 to inf with mean 5.0",
+        ),
+        (f"{THREE}, mean.A = >7, scale = 1 to 7", "mean.A", "7 on its scale"),
+        (f"{THREE}, t_test.t = 2", "t_test.t", "compares two conditions, and there are 3"),
+        (f"{THREE}, n = 3, mean.G = 3, mauchly.p = .2", "mauchly.p", "too few"),
+        (f"{TWO}, t_test.t = 9.5", "t_test.t", "means and standard deviations allow"),
+        (f"{TWO}, t_test.p = .5", "t_test.p", "means and standard deviations allow"),
+        (f"{TWO}, t_test.t = 2.10, t_test.p = .50", "t_test.p", "t gives 0.04"),
+        (f"{ALIKE}, anova.F = 9.25", "t_test.t", "F gives"),
+        (f"{ALIKE}, anova.F = 6.25", "", ""),
+        # F(2.1, 37.8) of three conditions: 37.8/2.1 = n − 1, and 2.1 = 3 ε.
+        (
+            f"{THREE}, n = 19, anova.df1 = 2.1, anova.df2 = 37.8",
+            "anova.df1 anova.df2",
+            "2.1 and 37.8 belong to 4 conditions, n = 19, ε = 0.70",
+        ),
+        # F(1.74, 33.06) = 1.52 has p = .234; at ε = 1/3 and 1 it is .233 and .219.
+        (f"{THREE}, mean.G = 4, sd.A = 2, anova.F = 1.52, anova.p = .234", "", ""),
+        # A mean printed as a bound, with an SD printed as one: any F and any p.
+        (
+            "n = 8, mean.A = 0, mean.B = >0.0, sd.A = 0.0, sd.B = >0, t_test.t = 2, pairs.A-B = .3",
+            "",
+            "",
+        ),
     ],
 )
-def test_a_number_that_cannot_be_is_named_with_its_reason(study, changes, name, reason):
-    """A paper can print it: it is an answer, not an error."""
-    ((named, said),) = contradictions(replace(study, **changes)).items()
-    assert named == name
-    assert re.search(reason, said), said
+def test_numbers_that_cannot_be_are_named_with_their_reason(printed, names, reason):
+    """A paper can print them: they are an answer, not an error."""
+    found = contradictions(study_of(printed))
+    assert list(found) == names.split()
+    for said in found.values():
+        assert re.search(reason, said), said
 
 
 @parametrize("name", ["p", "a.p", "pdf", "epsilon"])
 def test_conditions_may_have_the_names_of_statistics(name):
     """A negative mean of "pdf" is no number of degrees of freedom, one of "p" no p-value."""
-    cells = {"mean": {name: "-5.0", "B": "-6.0"}, "sd": {name: "1.0", "B": "1.0"}}
-    study = PublishedStudy("s", 12, **cells)
+    study = study_of(f"n = 12, mean.{name} = -5.0, mean.B = -6.0, sd.{name} = 1.0, sd.B = 1.0")
     assert feasibility(study).found.scores.mean(axis=0).round(1).tolist() == [-5.0, -6.0]
     ((named, said),) = contradictions(replace(study, scale=(-5.5, 7))).items()
     assert named == "mean.B"
@@ -229,16 +248,8 @@ def test_conditions_may_have_the_names_of_statistics(name):
 
 def test_too_many_degrees_of_freedom_were_not_corrected():
     """No ε makes them larger, so that with them p alone can be corrected."""
-    many = replace(THREE, anova={"F": "5.2", "df1": "4", "df2": "112"})
+    many = study_of(f"{THREE}, anova.F = 5.2, anova.df1 = 4, anova.df2 = 112")
     assert [reading.df for reading in readings(many)] == [many.corrected, False]
-
-
-def test_degrees_of_freedom_say_where_they_belong():
-    """F(2.1, 37.8) of three conditions: 37.8/2.1 = n − 1, and 2.1 = 3 ε."""
-    anova = {"F": "5.2", "df1": "2.1", "df2": "37.8", "p": ".009"}
-    found = contradictions(replace(THREE, n=19, anova=anova))
-    for df in ("anova.df1", "anova.df2"):
-        assert "2.1 and 37.8 belong to 4 conditions, n = 19, ε = 0.70" in found[df]
 
 
 def printed_at_random(rng):
@@ -248,32 +259,25 @@ def printed_at_random(rng):
     return rng.choice(["<", ">"]) + text.lstrip("-") if rng.random() < 0.15 else text
 
 
+TESTS = ["anova.F", "anova.df1", "anova.df2", "anova.p", "anova.eta2", "pairs.A-B"]
+TESTS += ["mauchly.chi2", "mauchly.df", "mauchly.p", "t_test.t", "t_test.df", "t_test.p"]
+
+
 @pytest.mark.filterwarnings("error")
 @parametrize(("count", "seed"), [(3, 9), pytest.param(150, 4, marks=pytest.mark.long)])
 def test_no_row_of_numbers_raises(count, seed):
     """Whatever is printed, the answer says what is wrong with it."""
     rng = default_rng(seed)
     for _ in range(count):
-        names = "ABCD"[: rng.integers(2, 5)]
-        listed = {"mean": names, "sd": names, "anova": ("F", "df1", "df2", "p", "eta2")}
-        listed |= {"mauchly": ("chi2", "df", "p"), "t_test": ("t", "df", "p"), "pairs": ("A-B",)}
-        fields = {
-            key: {name: printed_at_random(rng) for name in named if rng.random() < 0.7}
-            for key, named in listed.items()
-        }
-        fields["mean"] = fields["mean"] or {"A": "1"}
-        fields |= {"n": int(rng.integers(3, 30)), "conditions": tuple(names)}
-        fields |= {"scale": (1.0, 7.0)} if rng.random() < 0.3 else {}
-        answer = feasibility(PublishedStudy("s", **fields))
+        conditions = "ABCD"[: rng.integers(2, 5)]
+        cells = [f"{cell}.{name}" for cell in ("mean", "sd") for name in conditions]
+        names = [name for name in [*cells, *TESTS] if rng.random() < 0.7]
+        numbers = [f"{name} = {printed_at_random(rng)}" for name in names]
+        numbers += ["scale = 1 to 7"] if rng.random() < 0.3 else []
+        text = ", ".join([f"n = {rng.integers(3, 30)}, mean.A = 1", *numbers])
+        answer = feasibility(study_of(text, conditions=(*conditions,)))
         assert answer.message
         assert len(answer.table()) >= 1
-
-
-def test_an_end_that_is_open_contradicts_nothing():
-    """A mean printed as a bound, with an SD printed as one: any F and any p."""
-    cells = {"mean": {"A": "0", "B": ">0.00"}, "sd": {"A": "0.0", "B": ">0"}}
-    study = PublishedStudy("s", 8, **cells, pairs={"A-B": "0.3"}, t_test={"t": "2"})
-    assert contradictions(study) == {}
 
 
 # --- readings -------------------------------------------------------------------------------------
@@ -283,34 +287,29 @@ def epsilon_of(values):
     return textbook.analysed(values)["epsilon"]
 
 
-FOUR = PublishedStudy(
-    "four",
-    n=18,
-    mean={"A": "2.31", "B": "3.05", "C": "3.40", "D": "2.90"},
-    sd={"A": "0.84", "B": "0.79", "C": "0.95", "D": "1.02"},
-    scale=(1, 7),
-)
-PLAIN = {"F": "4.10", "df1": "3", "df2": "51"}
-CORRECTED = {"F": "4.10", "df1": "1.65", "df2": "28.05"}
+FOUR = "n = 18, scale = 1 to 7, mean.A = 2.31, mean.B = 3.05, mean.C = 3.40, mean.D = 2.90"
+FOUR += ", sd.A = 0.84, sd.B = 0.79, sd.C = 0.95, sd.D = 1.02, anova.F = 4.10"
+PLAIN = f"{FOUR}, anova.df1 = 3, anova.df2 = 51"
+CORRECTED = f"{FOUR}, anova.df1 = 1.65, anova.df2 = 28.05"
 # p of F = 4.1 with these degrees of freedom times ε.
-P, P_CORRECTED = (f"{stats.f.sf(4.1, 3 * e, 51 * e):.3f}" for e in (1.0, 0.55))
+P, P_CORRECTED = (f"anova.p = {stats.f.sf(4.1, 3 * e, 51 * e):.3f}" for e in (1.0, 0.55))
 
 
 @parametrize(
-    ("anova", "p", "epsilon", "reading"),
+    ("printed", "reading"),
     [
-        (PLAIN, P, "", NEITHER),
-        (PLAIN, P, "0.55", NEITHER),
-        (CORRECTED, P_CORRECTED, "0.55", BOTH),
-        (CORRECTED, P_CORRECTED, "", BOTH),
-        (PLAIN, P_CORRECTED, "0.55", ONLY_P),
-        (PLAIN, P_CORRECTED, "", ONLY_P),
-        (PLAIN, ".03", "0.55", ONLY_P),
-        (CORRECTED, P, "0.55", ONLY_DF),
+        (f"{PLAIN}, {P}", NEITHER),
+        (f"{PLAIN}, {P}, epsilon = 0.55", NEITHER),
+        (f"{CORRECTED}, {P_CORRECTED}, epsilon = 0.55", BOTH),
+        (f"{CORRECTED}, {P_CORRECTED}", BOTH),
+        (f"{PLAIN}, {P_CORRECTED}, epsilon = 0.55", ONLY_P),
+        (f"{PLAIN}, {P_CORRECTED}", ONLY_P),
+        (f"{PLAIN}, anova.p = .03, epsilon = 0.55", ONLY_P),
+        (f"{CORRECTED}, {P}, epsilon = 0.55", ONLY_DF),
     ],
 )
-def test_what_was_corrected_is_recognised(anova, p, epsilon, reading):
-    answer = feasibility(replace(FOUR, anova={**anova, "p": p}, epsilon=epsilon))
+def test_what_was_corrected_is_recognised(printed, reading):
+    answer = feasibility(study_of(printed))
     assert answer.feasible
     assert answer.reading == reading.words
     assert reading.words in answer.message
@@ -319,42 +318,25 @@ def test_what_was_corrected_is_recognised(anova, p, epsilon, reading):
     assert textbook.misses(answer.study, values, *factors) == set()
 
 
-def test_a_corrected_p_may_be_greatest_inside_the_range_of_epsilon():
-    """F(1.74, 33.06) = 1.52 has p = .234; at ε = 1/3 and 1 it is .233 and .219."""
-    assert stats.f.sf(1.52, 3 * 0.58, 57 * 0.58) == pytest.approx(0.234, abs=5e-4)
-    cells = {"mean": dict.fromkeys("ABCD", "4"), "sd": dict.fromkeys("ABCD", "2")}
-    study = PublishedStudy("s", 20, **cells, anova={"F": "1.52", "p": ".234"})
-    assert contradictions(study) == {}
-
-
 def test_a_rounded_epsilon_is_recognised():
-    answer = feasibility(replace(FOUR, anova={**CORRECTED, "p": P_CORRECTED}, epsilon="0.554"))
+    answer = feasibility(study_of(f"{CORRECTED}, {P_CORRECTED}, epsilon = 0.554"))
     assert answer.feasible
     assert answer.reading.endswith("ε rounded to 0.55")
     assert textbook.misses(answer.study, answer.found.scores, 0.55, 0.55) == set()
     # Negative control: a third ε fits nothing.
-    third = replace(FOUR, anova={**CORRECTED, "p": ".034"}, epsilon="0.614")
-    assert not feasibility(third).feasible
+    assert not feasibility(study_of(f"{CORRECTED}, anova.p = .034, epsilon = 0.614"))
 
 
 def test_the_message_names_the_reading_that_an_answer_needs():
     """Without a printed p it kept the rounded ε to itself, under which alone these can hold."""
-    anova = {"F": "20.10", "df1": "1.60", "df2": "30.40"}
-    answer = feasibility(replace(THREE, anova=anova, epsilon="0.75"))
+    anova = "anova.F = 20.10, anova.df1 = 1.60, anova.df2 = 30.40"
+    answer = feasibility(study_of(f"{THREE}, {anova}, epsilon = 0.75"))
     assert "corrected by ε rounded to 0.8" in answer.message
-
-
-def test_f_of_two_conditions_is_the_square_of_t():
-    """9.25 beside a t of 2.5, whose square is 6.25, was no contradiction."""
-    cells = {"mean": {"A": "1.00", "B": "2.00"}, "sd": {"A": "1.00", "B": "1.00"}}
-    for f, conflicts in {"9.25": ["t_test.t"], "6.25": []}.items():
-        tests = {"anova": {"F": f}, "t_test": {"t": "-2.50", "df": "9"}}
-        assert list(contradictions(PublishedStudy("two", n=10, **cells, **tests))) == conflicts
 
 
 def test_a_contradiction_is_never_consistent():
     """F(3, 57) with n = 18: degrees of freedom of 20 people."""
-    study = replace(FOUR, anova={"F": "4.10", "df1": "3", "df2": "57", "p": ".03"})
+    study = study_of(f"{FOUR}, anova.df1 = 3, anova.df2 = 57, anova.p = .03")
     answer = feasibility(study)
     assert answer.feasible is False
     assert answer.rest_feasible
@@ -365,12 +347,11 @@ def test_a_contradiction_is_never_consistent():
     values = answer.found.scores
     assert textbook.misses(study, values, p=epsilon_of(values)) == {"anova.df2"}
     # The n that the message names is consistent.
-    assert feasibility(replace(study, n=20)).feasible
+    assert feasibility(replace(study, n=20))
 
 
 def test_a_study_of_which_nothing_is_left_is_answered():
     """Its only number cannot be."""
-    study = PublishedStudy("s", 12, mean={"A": "9"}, sd={}, conditions=[*"AB"], scale=(1, 7))
-    answer = feasibility(study)
+    answer = feasibility(study_of("n = 12, mean.A = 9, scale = 1 to 7", conditions=[*"AB"]))
     assert answer.feasible is False
     assert answer.rest_feasible

@@ -12,6 +12,7 @@ from scipy import stats
 
 import trustlab as tl
 from tests import textbook
+from tests.reproduction.cases import study_of
 from trustlab import PublishedStudy, reconstruct
 from trustlab.reproduction import ReconstructionError
 from trustlab.reproduction.reconstruction import search
@@ -65,9 +66,9 @@ def test_data_say_that_they_are_reconstructed():
 
 
 def test_missing_cells_are_inferred():
-    cells = {"mean": {"A": "5.00", "B": "4.20"}, "sd": {"A": "1.00", "B": "1.10"}}
-    tests = {"anova": {"F": "6.20", "df1": "2", "df2": "46"}, "pairs": {"A-B": "0.020"}}
-    study = PublishedStudy("s", 24, **cells, **tests, conditions=(*"ABC",), scale=(1, 7))
+    cells = "n = 24, scale = 1 to 7, mean.A = 5.00, mean.B = 4.20, sd.A = 1.00, sd.B = 1.10"
+    tests = "pairs.A-B = 0.020, anova.F = 6.20, anova.df1 = 2, anova.df2 = 46"
+    study = study_of(f"{cells}, {tests}", conditions=(*"ABC",))
     values = values_of(study, reconstruct(study))
     assert 1.0 < values[:, 2].mean() < 7.0
     # Means, SDs and p of A and B are printed: the correlation is pinned down by var(a − b) = n (m_a
@@ -81,8 +82,8 @@ def edge(name):
     """A study that prints the statistics of true data at an edge, and of few people."""
     rng, digits, scale = np.random.default_rng(0), 2, (-np.inf, np.inf)
     if name.startswith("p = "):
-        cells = {"mean": {"A": "5.0", "B": "5.0"}, "sd": {"A": "1.0", "B": "1.1"}}
-        return PublishedStudy("s", 10, **cells, t_test={"t": "0.00", "p": name[4:]})
+        cells = "n = 10, mean.A = 5.0, mean.B = 5.0, sd.A = 1.0, sd.B = 1.1"
+        return study_of(f"{cells}, t_test.t = 0.00, t_test.{name}")
     if name == "right or wrong":
         values = rng.normal(size=(24, 1)) + rng.normal(size=(24, 3)) + [0.0, 0.5, 1.0]
         values, scale = (values > -0.3).astype(float), (0.0, 1.0)
@@ -115,9 +116,9 @@ def test_no_data_is_an_error_that_says_what_the_closest_miss(monkeypatch):
 def test_where_no_pairs_are_printed_one_adjustment_is_tried(monkeypatch):
     """Of its pairs nothing is known; the spread of C can be cancelled by A and B in part only."""
     monkeypatch.setattr(search, "STARTS", 3)
-    mean, sd = {"A": "0.00", "B": "1.00", "C": "2.00"}, {"A": "1.00", "B": "1.00", "C": "10.00"}
+    cells = "mean.A = 0.00, mean.B = 1.00, mean.C = 2.00, sd.A = 1.00, sd.B = 1.00, sd.C = 10.00"
     with pytest.raises(ReconstructionError, match="p_adjust='bonferroni': No data"):
-        reconstruct(PublishedStudy("s", 10, mean, sd, anova={"F": "0.21"}))
+        reconstruct(study_of(f"n = 10, {cells}, anova.F = 0.21"))
 
 
 @parametrize("name", EDGES)
