@@ -113,7 +113,7 @@ def test_a_report_has_its_answer_figures_tables_and_origin(world):
         '<a [^>]*href="[^"]*#[^"]+">Table 01-1</a>',
         "<math",
         '<mover accent="true">',
-        r'id="provenance"[\s\S]*not a git checkout',
+        r'id="provenance"[\s\S]*Parameter seed',
     ):
         assert re.search(words, text), words
 

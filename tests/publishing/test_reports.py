@@ -7,7 +7,6 @@ import ast
 import inspect
 import re
 import runpy
-import subprocess
 from functools import cache
 from itertools import combinations
 from pathlib import Path
@@ -29,11 +28,10 @@ from scipy import optimize
 import trustlab as tl
 from notebooks import diagrams
 from tests.cases import refused
-from tests.publishing.world import ROOT, make, tagged
+from tests.publishing.world import ROOT, tagged
 from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
 from trustlab.publishing import figures, only_parameters
 from trustlab.publishing.chapter import chapter, empty_chapter
-from trustlab.publishing.run import anonymous, commit, provenance
 from trustlab.publishing.tables import table_html
 from trustlab.reproduction import published_table
 from trustlab.reproduction.printed import half_unit
@@ -82,7 +80,6 @@ def test_verdicts_have_reasons_and_sections_of_reports_that_read_them():
         assert {*claims["section"]} <= heads, report
         if report in {*judged["report"]}:
             assert f'verdicts(\\"{report}\\")' in text, report
-            assert tl.reproduction.verdicts(report).equals(judged[judged["report"] == report])
 
 
 def test_verdicts_are_those_of_the_audit_and_of_the_reconstructions():
@@ -298,37 +295,6 @@ def test_lab_gets_a_png_with_its_caption_and_the_book_an_svg_without(book, monke
 def test_a_number_has_the_decimals_that_its_error_or_a_difference_needs(columns, texts):
     table = table_html(pd.DataFrame(columns))
     assert re.findall("<data[^>]*>([^<]*)", table) == texts.split()
-
-
-def test_provenance_lists_what_a_notebook_reads_and_names_no_path(tmp_path):
-    told = {"start_time": "2026-11-27T13:48:22.1+00:00", "duration": 1.26}
-    run = new_notebook(metadata={"papermill": told | {"parameters": {"seed": 5}}})
-    read = provenance(ROOT, NOTEBOOKS / "01_identification.ipynb", run)
-    assert read["Data"] == "data/coverage, data/published, data/sessions"
-    assert (read["Started"], read["Time taken"]) == ("2026-11-27 13:48 UTC", "1.3 s")
-    assert (read["Parameter seed"], read["Parameter runs"]) == ("5", "40")
-    root = make(tmp_path, n01_a=["# A"])
-    origin = provenance(root, root / "notebooks" / "01_a.ipynb", run)
-    assert origin["Commit"] == "not a git checkout"
-    assert str(tmp_path) not in str(origin)
-
-
-def test_pages_stay_whole_where_there_is_no_home(monkeypatch):
-    monkeypatch.setenv("HOME", "/")
-    monkeypatch.setenv("TRUSTLAB_DATA", "/lab")
-    assert anonymous("<p>a/b</p> /lab/x", ROOT) == "<p>a/b</p> TRUSTLAB_DATA/x"
-
-
-def test_the_commit_is_marked_where_a_file_is_changed_or_new(tmp_path):
-    git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a"]
-    for words in ("init -q", "commit -q --allow-empty -m first"):
-        subprocess.run([*git, *words.split()], check=True)
-    clean = commit(tmp_path)
-    assert re.fullmatch("[0-9a-f]{40}", clean)
-    (tmp_path / "new.py").touch()
-    assert commit(tmp_path) == clean + " + uncommitted changes"
-    (tmp_path / "inside").mkdir()
-    assert commit(tmp_path / "inside") == "not a git checkout"
 
 
 def stored(source):

@@ -84,6 +84,13 @@ def test_numbers_beside_printed_ones():
             compare({"a": 0.394}, {"a": number})
 
 
+def test_verdicts_of_a_report_are_its_own_without_diagrams():
+    found = tl.reproduction.verdicts("allocation")
+    assert {*found["report"]} == {"allocation"}
+    assert {"Theorem 2"} <= {*found.index}
+    assert "diagram" not in {*found["verdict"]}
+
+
 def test_studies_say_what_is_missing_and_whether_they_are_corrected():
     """That they are there as printed says the audit."""
     studies = tl.published_studies()

@@ -9,7 +9,7 @@ from scipy import stats
 import trustlab as tl
 from tests.cases import panel as few_people, refused
 from trustlab import compare_trust_models
-from trustlab.trust import Event, Panel, read_people
+from trustlab.trust import Event, NormalRating, Panel, comparison, read_people
 from trustlab.trust.comparison import recover_trust_models
 from trustlab.trust.dynamics import MODELS
 from trustlab.trust.likelihood import predict, simulate_ratings
@@ -31,6 +31,13 @@ def test_pairs_are_paired():
     assert row[["ci_low", "ci_high"]].tolist() == approx([*test.confidence_interval(0.95)])
     back = compared.paired("asymmetric").set_index(["split", "measure", "model"])
     assert back.loc[*place, "performance"]["difference"] == approx(-row["difference"])
+
+
+def test_the_middle_of_a_distribution_has_nine_tenths_of_it():
+    rating = NormalRating(np.full(4, 0.5), np.full(4, 0.1))
+    actual = 0.5 + 0.1 * stats.norm.ppf([0.04, 0.06, 0.94, 0.96])
+    inside = comparison._in_central_interval(rating, actual, 0.0)
+    assert inside.tolist() == [False, True, True, False]
 
 
 def test_coverage_of_the_true_model_is_nominal():

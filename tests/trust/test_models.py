@@ -75,6 +75,12 @@ def test_beta_counts_successes():
         assert rating.mass(0.6, 0.7)[0] == approx(expected, abs=1e-13)
 
 
+def test_an_event_has_no_fault_unless_it_says_so():
+    careful, careless = MODELS["series"](fault_now=-0.5), MODELS["series"]()
+    belief = careful.start(np.array([0.5]))
+    assert_allclose(careful.step(belief, Event()).mean, careless.step(belief, Event()).mean)
+
+
 def test_grid_is_kalmans_filter_far_from_the_ends():
     """Where nothing is truncated a walk on the grid is that of a linear model."""
     people = panel(5)

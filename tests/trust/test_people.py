@@ -187,7 +187,6 @@ def test_a_recipe_may_name_another_column_beside_one_of_the_signals_name():
     table = pd.DataFrame({"person": "a", "trial": [0, 1], "rating": 9.0, "answer": [0.1, 0.2]})
     panel = read_people(table.assign(p_r=1.0), {"columns": {"rating": "answer"}})
     assert_array_equal(panel.ratings, [[0.1, 0.2]])
-    assert panel.events.fault == 0.0
 
 
 @parametrize("content", [b"person;trial\na;1\n", b"", b"a,b\n1,2\n1,2,3\n", b"a,b\n\xe9,1\n"])
