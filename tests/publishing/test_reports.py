@@ -30,7 +30,7 @@ from notebooks import diagrams
 from tests.cases import refused
 from tests.publishing.world import ROOT, tagged
 from trustlab.allocation.bounds import performance_as_printed, utilization_as_printed
-from trustlab.publishing import figures, only_parameters
+from trustlab.publishing import figures, only_parameters, required_data
 from trustlab.publishing.chapter import chapter, empty_chapter
 from trustlab.publishing.tables import table_html
 from trustlab.reproduction import published_table
@@ -295,6 +295,13 @@ def test_lab_gets_a_png_with_its_caption_and_the_book_an_svg_without(book, monke
 def test_a_number_has_the_decimals_that_its_error_or_a_difference_needs(columns, texts):
     table = table_html(pd.DataFrame(columns))
     assert re.findall("<data[^>]*>([^<]*)", table) == texts.split()
+
+
+def test_required_data_are_a_folder(tmp_path, monkeypatch):
+    """Where they are absent a report says so: `test_publish.py`."""
+    monkeypatch.setenv("TRUSTLAB_DATA", str(tmp_path))
+    (tmp_path / "mine").mkdir()
+    assert required_data("mine") == tmp_path / "mine"
 
 
 def stored(source):

@@ -66,9 +66,10 @@ def test_the_slips_are_these(verdicts):
     assert len(slips.drop_duplicates(["quantity", "printed", "reason"])) == 15
 
 
-def test_a_heavier_damping_carries_a_handle():
-    """Negative control."""
-    damping = "section_3_8_1/B"
+def test_suspicious_numbers_are_marked(verdicts):
+    """Negative control: a heavier damping carries a handle."""
+    damping, suspicious = "section_3_8_1/B", verdicts["reason"].str.contains("Suspicious")
+    assert {damping, "teleop.satisfaction/pairs.M-TMIG"} < {*verdicts.index[suspicious]}
     assert not quick({damping: "60"})[damping].reason.startswith("Suspicious")
 
 
@@ -263,6 +264,7 @@ def test_what_is_not_printed_is_not_called_printed(verdicts):
     assert verdicts.loc["section_2_2_2/weights", "printed"] == "average"
     assert "Printed is “df 140”, that is 36." in verdicts.loc["uav.tlx/n", "reason"]
     assert "n = “df 140”, that is 36 (uav.tlx/n)" in verdicts.loc["uav.tlx/epsilon", "inputs"]
+    assert "Rests on uav.tlx/n, judged “differs”" in verdicts.loc["uav.tlx/epsilon", "reason"]
 
 
 def test_no_certain_slip_within_rounding():
