@@ -60,7 +60,7 @@ NOTICED_BY = {
     "allocation/test_thresholds.py": "allocation/estimates",
     "allocation/test_posterior_choice.py": "allocation/thresholds",
     "trust/test_models.py": "trust/fitting",
-    "trust/test_models.py -k 'not (ends or intervals or below or return)'": (
+    "trust/test_models.py -k 'beta or not (ends or intervals or below or return)'": (
         "trust/dynamics/* trust/interface trust/likelihood trust/panel"
     ),
     "teleoperation/test_channel.py": "teleoperation/delays teleoperation/ports/waves",

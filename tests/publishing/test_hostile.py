@@ -8,11 +8,11 @@ import ast
 import html
 from html.parser import HTMLParser
 
-import numpy as np
 import pandas as pd
 import pytest
 
 import trustlab as tl
+from tests.cases import scores
 from tests.publishing.world import ROOT
 from trustlab.models.display import as_html
 from trustlab.publishing.tables import table_html
@@ -49,29 +49,27 @@ class Markup(HTMLParser):
 HOSTILE = {"img", "script", "a", "comment", "onerror", "onfocus", "autofocus"}
 
 
-def scores():
-    rng = np.random.default_rng(1)
-    frame = pd.DataFrame([(f"{NAME} {i}", f"{NAME} {j}") for i in range(5) for j in range(3)])
-    frame["score"] = rng.normal(size=len(frame))
-    frame = frame.set_axis([f"{name} {NAME}" for name in ("subject", "condition", "score")], axis=1)
+def hostile_scores():
+    frame = (scores().astype(str) + NAME).assign(value=scores()["value"])
+    frame = frame.rename(columns=lambda name: f"{name} {NAME}")
     frame.attrs.update(reconstructed=True, note=NAME)
     return frame
 
 
 def table():
     frame = pd.DataFrame({NAME: [NAME], "n": [1.5]}, index=pd.Index([NAME], name=NAME))
-    frame.columns.name = NAME
-    return frame
+    return frame.rename_axis(columns=NAME)
 
 
 def report():
-    return tl.report(scores(), **dict(zip(("subject", "within", "dv"), scores(), strict=True)))
+    subject, within, dv = (f"{name} {NAME}" for name in ("subject", "condition", "value"))
+    return tl.report(hostile_scores(), subject=subject, within=within, dv=dv)
 
 
 @pytest.mark.parametrize(
     "show",
     [
-        lambda: as_html(NAME, scores(), scores().T.set_index(0), title=NAME),
+        lambda: as_html(NAME, hostile_scores(), hostile_scores().T.set_index(0), title=NAME),
         lambda: report()._repr_html_(),
         lambda: table_html(table()),
     ],

@@ -98,24 +98,24 @@ def test_a_report_has_its_answer_figures_tables_and_origin(world):
     root, done, _ = world
     text = html(root, "01_good")
     assert "01_good … run in " in done.stdout
-    assert "seed is 5" in text
     assert text.count("attacker.invalid") == 3  # the cell, what it prints, and its value
     assert ATTACK not in text
     assert text.index("It holds.") < text.index("seed is 5")
     assert text.count("It holds.") == 1
-    assert len(re.findall('<img[^>]* alt="Synthetic data: made up. Figure', text)) == 2
-    for number, name in ((1, "a"), (2, "b")):
-        assert f"Synthetic data: made up. Figure of {name}." in text
-        assert f"Figure 01-{number}" in text
-    assert re.search("Table 01-1 .*Synthetic data. What <em>x</em> is.", text)
-    assert 'href="concepts/equations.html#eq-2-3"' in text
-    assert 'href="03_plain.html">report “plain”</a>' in text
-    assert re.search('<a [^>]*href="[^"]*#[^"]+">Table 01-1</a>', text)
-    assert "<math" in text
-    assert '<mover accent="true">' in text
-    provenance = re.sub("<[^>]*>", "", text[text.index('id="provenance"') :])
-    for words in ("not a git checkout", "data/published", "Parameter seed", "numba"):
-        assert words in provenance
+    for words in (
+        '<img[^>]* alt="Synthetic data: made up. Figure of a',
+        '<img[^>]* alt="Synthetic data: made up. Figure of b',
+        "Figure 01-1 .*Synthetic data: made up. Figure of a.",
+        "Figure 01-2 .*Synthetic data: made up. Figure of b.",
+        "Table 01-1 .*Synthetic data. What <em>x</em> is.",
+        'href="concepts/equations.html#eq-2-3"',
+        'href="03_plain.html">report “plain”</a>',
+        '<a [^>]*href="[^"]*#[^"]+">Table 01-1</a>',
+        "<math",
+        '<mover accent="true">',
+        r'id="provenance"[\s\S]*Parameter seed',
+    ):
+        assert re.search(words, text), words
 
 
 def test_a_table_that_is_cited_exists(world):
@@ -170,8 +170,8 @@ def test_run_again_only_where_an_input_changed(world):
     (root / "data" / "published" / "more.csv").write_text("1\n")
     assert ran("03_plain") == ["03_plain … run"]
     assert ran("03_plain") == []
-    assert ran("02_bad", parameters="-p x 1") == ["02_bad … run"]
-    assert ran("02_bad", parameters="") == ["02_bad … failed"]
+    names = "02_bad", "03_plain"
+    assert ran(*names, parameters="-p x 1") == ["02_bad … run", "03_plain … run"]
     before = (root / "docs" / "01_good.ipynb").stat().st_mtime_ns
     done = publish(root, "01_good", parameters="-p sed 1")
     assert done.returncode != 0
@@ -216,9 +216,9 @@ def test_an_interrupt_leaves_neither_report_nor_kernel(tmp_path):
     assert said == ""
     kernel = int(mark.read_text())
     deadline = time.monotonic() + 60.0
-    while psutil.pid_exists(kernel) and time.monotonic() < deadline:
+    while psutil.pid_exists(kernel):
+        assert time.monotonic() < deadline
         time.sleep(0.1)
-    assert not psutil.pid_exists(kernel)
     assert not (root / "docs" / "01_long.ipynb").exists()
 
 
@@ -247,8 +247,6 @@ def test_tables_sort_filter_and_download(world, browser):
     assert tab.evaluate(f"{rows}.map(row => row.cells[0].textContent)") == ["n17"]
     with tab.expect_download() as saved:
         tab.click("text=CSV")
-    frame = pd.read_csv(saved.value.path())
-    assert list(frame.columns) == ["name", "p, Holm", "eta2"] or frame.shape[1] == 3
-    assert frame.iloc[0, 0] == "n17"
-    assert frame.iloc[0, 1] == pytest.approx(0.0425, abs=1e-15)
+    row = pd.read_csv(saved.value.path()).iloc[0].tolist()
+    assert row == ["n17", pytest.approx(0.0425, abs=1e-15), 17.5]
     tab.close()

@@ -50,15 +50,20 @@ def make(root, **notebooks):
     docs = root / "docs"
     for name in ("notebooks", "data/published", "docs/concepts", "docs/static"):
         (root / name).mkdir(parents=True, exist_ok=True)
-    for name in ("docs/conf.py", "docs/extension.py", "docs/concepts/equations.md"):
+    for name in (
+        "docs/conf.py",
+        "docs/extension.py",
+        "docs/concepts/equations.md",
+        "data/published/equations.toml",
+        "data/published/verdicts.toml",
+    ):
         shutil.copy(ROOT / name, root / name)
     shutil.copytree(ROOT / "docs" / "static", docs / "static", dirs_exist_ok=True)
-    shutil.copy(ROOT / "data/published/equations.toml", root / "data/published")
-    shutil.copy(ROOT / "data/published/verdicts.toml", root / "data/published")
     with (docs / "conf.py").open("a") as file:
         file.write(SETTINGS)
     page = docs / "concepts" / "equations.md"
     page.write_text(page.read_text().replace("[another page](does_not_hold.md)", "another page"))
+    (root / "environment.lock").touch()
     (docs / "index.md").write_text(INDEX)
     (docs / "reports.md").write_text(REPORTS)
     for name, cells in notebooks.items():
@@ -71,20 +76,18 @@ def make(root, **notebooks):
 
 def publish(root, *names, parameters=""):
     """Let Make run the notebooks of these names, or all; return what it did."""
-    names = names or [path.stem for path in sorted((root / "notebooks").glob("*.ipynb"))]
-    lock = root / "environment.lock"
-    if not lock.exists():
-        lock.touch()
+    names = names or [path.stem for path in (root / "notebooks").glob("*.ipynb")]
     command = ["make", "-f", ROOT / "Makefile", f"VENV={sys.prefix}", "-k", "-j", "3"]
-    chapters = [f"docs/{name}.ipynb" for name in names]
-    return subprocess.run(
-        [*command, f"PARAMS={parameters}", *chapters], cwd=root, capture_output=True, text=True
-    )
+    return run(root, *command, f"PARAMS={parameters}", *(f"docs/{name}.ipynb" for name in names))
 
 
 def write_book(root):
     """Let Sphinx write the book; return what it did."""
-    command = [sys.executable, "-m", "sphinx", "-q", "-N", "-W", "--keep-going", "docs", "reports"]
+    command = [sys.executable, "-m", "sphinx", "-q", "-N", "-W", "--keep-going"]
+    return run(root, *command, "docs", "reports")
+
+
+def run(root, *command):
     return subprocess.run(command, cwd=root, capture_output=True, text=True)
 
 
@@ -139,14 +142,11 @@ def faults(folder):
     for path in pages(folder):
         own = page(path)
         found += [f"{path.name}: no words for {picture}" for picture in own.wordless]
-        found += [
-            f"{path.name}: loads {link}"
-            for link in own.loaded
-            if link.startswith(("http:", "https:", "//"))
-        ]
+        outside = ("http:", "https:", "//")
+        found += [f"{path.name}: loads {link}" for link in own.loaded if link.startswith(outside)]
         for link in own.links | own.loaded:
             place, anchor = urldefrag(link)
-            if link.startswith(ELSEWHERE) or (link in own.loaded and link.startswith("http")):
+            if link.startswith(ELSEWHERE):
                 continue
             target = (path.parent / unquote(place.partition("?")[0])).resolve() if place else path
             if not target.is_file():
