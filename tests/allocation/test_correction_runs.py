@@ -34,6 +34,13 @@ def corrected(habit="following", **options):
     )
 
 
+def test_a_step_of_the_online_form_is_a_step_of_the_corrector():
+    state = 0.6, 0.325, *START
+    step, plan = online(r=0.6).update(0.325, 0.38, 0), CORRECTOR.step(*state, 0)
+    assert (step.c_l, step.c_u, step.cost) == (plan.c_l, plan.c_u, plan.cost)
+    assert step.cost != CORRECTOR.step(*state, 1).cost, "which the mode decides"
+
+
 def test_missing_data_hold_and_the_correction_goes_on():
     loop = online()
     loop.update(0.3, 0.38, 1)
@@ -58,8 +65,7 @@ def test_performance_outside_the_range():
     assert (held.c_l, held.c_u, held.suggestion) == (0.0, 0.0, 0)
     nearest = online(outside="nearest").update(0.4, 0.38)
     assert (nearest.status, nearest.message) == ("planned", NEAREST)
-    plan = CORRECTOR.step(0.0, 0.35, *START, 1)
-    assert (nearest.c_l, nearest.c_u, nearest.cost) == (plan.c_l, plan.c_u, plan.cost)
+    assert nearest.c_l == CORRECTOR.step(0.0, 0.35, *START).c_l
     assert nearest.tsc == SECOND.value(0.4, 0.38)
     assert nearest.latency > 0.0
     assert online().update(0.35 + 1e-12, 0.38).message == OPTIMAL
