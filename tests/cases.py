@@ -103,3 +103,39 @@ def distance(course, x, y):
     share = ((points - begin) * along).sum(axis=2) / (along**2).sum(axis=1)
     feet = begin + share.clip(0.0, 1.0)[..., None] * along
     return np.sqrt(((points - feet) ** 2).sum(axis=2)).min(axis=1)
+
+
+# --- the equations of TSC written out, without the package ----------------------------------------
+
+
+def shape(r, beta):
+    """The curve of (2.6), from 0 at the ends to 1 at β."""
+    return (r / beta) ** beta * ((1 - r) / (1 - beta)) ** (1 - beta)
+
+
+def curve(human, r):
+    """(2.6) at one utilization."""
+    share = shape(r, human.beta) if 0.0 < r < 1.0 else 0.0
+    return human.p_min + (human.p_max - human.p_min) * share
+
+
+def weights(model):
+    """a_T and b_T of (2.2)."""
+    r, h = model.robot, model.human
+    scale = r.p_max * h.p_max - r.p_min * h.p_min
+    return (h.p_max + h.p_min) / scale, (r.p_max + r.p_min) / scale
+
+
+def motion(model, r, p_r, decide):
+    """
+    (2.1)-(2.6) in plain Python, for ever: r, P_r, P_h, TSC and mode of each sample; what decides
+    gives the mode for TSC.
+    """
+    robot, human, (a_T, b_T) = model.robot, model.human, weights(model)
+    while True:
+        p_h = curve(human, r)
+        tsc = a_T * p_r - b_T * p_h
+        mode = decide(tsc)
+        yield r, p_r, p_h, tsc, mode
+        p_r = robot.a * p_r + (1 - robot.a) * robot.p_min + mode * robot.b * p_h
+        r = human.a * r + (1 - human.a) * mode

@@ -1,47 +1,49 @@
-"""What several tests of the room share; equations written out, without the package."""
+"""What several tests of the room share."""
 
 import warnings
 
 import numpy as np
+import pytest
+from hypothesis import strategies as st
 
 import trustlab as tl
+from tests.cases import motion, weights
 from trustlab.allocation import TargetWarning
 
-PILOT, SECOND = (tl.published_models()[name] for name in ("pilot", "2"))
+OPERATORS = tl.published_models()
+PILOT, SECOND = OPERATORS["pilot"], OPERATORS["2"]
 START, TARGET = (0.02, 0.45), (0.15, 0.56)  # of Section 2.5
 
 
-def shape(r, beta):
-    """The curve of (2.6), from 0 at the ends to 1 at β."""
-    return (r / beta) ** beta * ((1 - r) / (1 - beta)) ** (1 - beta)
+def warned(words):
+    """A block whose call must warn with these words."""
+    return pytest.warns(UserWarning, match=words)
 
 
-def curve(human, r):
-    """(2.6) at one utilization."""
-    share = shape(r, human.beta) if 0.0 < r < 1.0 else 0.0
-    return human.p_min + (human.p_max - human.p_min) * share
+def made(human, robot):
+    """A model of an operator (a, β, P_min, P_max) and a robot (a, P_min, P_max)."""
+    return tl.TscModel(tl.RobotModel(*robot, human[3]), tl.HumanModel(*human))
 
 
-def weights(model):
-    """a_T and b_T of (2.2)."""
-    r, h = model.robot, model.human
-    scale = r.p_max * h.p_max - r.p_min * h.p_min
-    return (h.p_max + h.p_min) / scale, (r.p_max + r.p_min) / scale
+def ends_of_tsc(model):
+    """To what TSC tends with nobody at the wheel, and under manual control without a rest."""
+    robot, human, (a_T, b_T) = model.robot, model.human, weights(model)
+    rest = a_T * robot.p_min - b_T * human.p_min
+    return rest, rest + a_T * robot.b * human.p_min / (1 - robot.a)
 
 
 def written_out(model, pair, r, p_r, mode):
     """
-    (2.1)-(2.8) in plain Python, for ever: r, P_r, TSC and mode of each sample. `pair` holds the
-    thresholds, which may be changed after each sample.
+    Samples of (2.1)-(2.8) for ever, as `motion` has them. `pair` holds the thresholds, which may be
+    changed after each sample.
     """
-    robot, human, (a_T, b_T) = model.robot, model.human, weights(model)
-    while True:
-        p_h = curve(human, r)
-        tsc = a_T * p_r - b_T * p_h
+
+    def rule(tsc):
+        nonlocal mode
         mode = 0 if tsc >= pair[1] else 1 if tsc <= pair[0] else mode
-        yield r, p_r, tsc, mode
-        p_r = robot.a * p_r + (1 - robot.a) * robot.p_min + mode * robot.b * p_h
-        r = human.a * r + (1 - human.a) * mode
+        return mode
+
+    return motion(model, r, p_r, rule)
 
 
 def drawn_model(rng, human, robot, betas=(0.3, 0.95), spans=((0.02, 0.5), (0.1, 1.0))):
@@ -53,8 +55,27 @@ def drawn_model(rng, human, robot, betas=(0.3, 0.95), spans=((0.02, 0.5), (0.1, 
     h_max, r_max = (
         low * (1 + rng.uniform(*s)) for low, s in zip((h_min, r_min), spans, strict=True)
     )
-    operator = tl.HumanModel(1 - 10 ** rng.uniform(*human), rng.uniform(*betas), h_min, h_max)
-    return tl.TscModel(tl.RobotModel(1 - 10 ** rng.uniform(*robot), r_min, r_max, h_max), operator)
+    operator = 1 - 10 ** rng.uniform(*human), rng.uniform(*betas), h_min, h_max
+    return made(operator, (1 - 10 ** rng.uniform(*robot), r_min, r_max))
+
+
+def random_case(rng, quick=True):
+    """
+    A model with thresholds between the limits of (2.9)-(2.10) at δ_Ph = 0, far enough apart to be
+    of use.
+    """
+    while True:
+        rates = ((-2.8, -1.5), (-2.3, -1.2)) if quick else ((-3.3, -1.7), (-2.8, -1.3))
+        model = drawn_model(rng, *rates)
+        limits = tl.threshold_limits(model)
+        if limits.feasible:
+            lower, upper = np.sort(rng.uniform(limits.lower, limits.upper, 2)).tolist()
+            if limits.upper - limits.lower > 0.05 and upper - lower > 0.02:
+                return model, lower, upper
+
+
+# Slower ones, for hypothesis.
+CASES = st.integers(0, 2**32 - 1).map(lambda seed: random_case(np.random.default_rng(seed), False))
 
 
 def settled(model, lower, upper, steps=60_000, **start):

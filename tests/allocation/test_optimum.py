@@ -13,8 +13,11 @@ import pytest
 from scipy import integrate, ndimage
 
 import trustlab as tl
-from tests.allocation.cases import settled
-from trustlab.allocation.optimum import certificate
+from tests.allocation.cases import OPERATORS, SECOND, random_case, settled
+from trustlab.allocation.optimum import certificate, optimal_allocation
+
+approx = pytest.approx
+parametrize = pytest.mark.parametrize
 
 
 def earned(tsc, run, weight):
@@ -29,8 +32,9 @@ def repeated(manual, autonomous, samples):
     return np.resize(np.repeat([1.0, 0.0], [manual, autonomous]), samples)
 
 
-def value_iteration(tsc, weight, step=20, sizes=(161, 41), sweeps=1500):
+def value_iteration(tsc, weight):
     """The gain of r and P_r on a grid, linear between, decisions every two seconds."""
+    step, sizes = 20, (161, 41)
     human, robot = tsc.human, tsc.robot
     span = robot.p_max - robot.p_min
     # As shares of their ranges.
@@ -46,7 +50,7 @@ def value_iteration(tsc, weight, step=20, sizes=(161, 41), sweeps=1500):
         to_r, to_p = a_r * r + (1.0 - a_r) * mode, a_p * p + (1.0 - a_p) * rise
         moves.append([to_r * (sizes[0] - 1), to_p * (sizes[1] - 1)])
     values = np.zeros(sizes)
-    for _ in range(sweeps):
+    for _ in range(1500):
         after = [ndimage.map_coordinates(values, to, order=1, mode="nearest") for to in moves]
         new = reward + np.maximum(*after)
         low, high = (new - values).min(), (new - values).max()
@@ -56,89 +60,58 @@ def value_iteration(tsc, weight, step=20, sizes=(161, 41), sweeps=1500):
     return low, high
 
 
-@pytest.mark.parametrize("name", ["pilot", "1", "2", "3", "4", "5"])
-def test_the_printed_models_are_certified(operators, name):
-    tsc = operators[name]
-    for weight in (0.5, 1.0):
-        bound, r_star = certificate(tsc, weight, 1.0)
-        # The bound is the greatest f(r), but for terms of second order in a step.
-        r = np.linspace(0.0, 1.0, 4001)
-        p_h = tsc.human.performance(r)
-        gain = tsc.robot.b / (1.0 - tsc.robot.a) / (tsc.robot.p_max - tsc.robot.p_min)
-        human = (p_h - tsc.human.p_min) / (tsc.human.p_max - tsc.human.p_min)
-        f = 100.0 * (weight * gain * r * p_h + (1.0 - weight) * human)
-        assert bound == pytest.approx(f.max(), abs=0.06)
-        assert r_star == pytest.approx(r[f.argmax()], abs=0.01)
-    best = tl.optimal_allocation(tsc, weight, min_dwell=0.0)
-    assert best.upper_bound == bound
+@parametrize(("name", "weight"), [*zip(OPERATORS, (0.5, 1.0) * 3, strict=True)])
+def test_the_printed_models_are_certified(name, weight):
+    """Switching between single samples attains the bound but for terms of second order."""
+    best = optimal_allocation(OPERATORS[name], weight, min_dwell=0.0)
     assert 0.0 <= best.gap < 0.1
+    assert best.r_star == approx(best.mean_r, abs=0.01)
 
 
-@pytest.mark.parametrize(("name", "weight"), [("2", 0.5), ("4", 1.0)])
-def test_value_iteration_agrees(operators, name, weight):
-    low, high = value_iteration(operators[name], weight)
-    best = tl.optimal_allocation(operators[name], weight=weight, min_dwell=0.0)
+@parametrize(("name", "weight"), [("2", 0.5), ("4", 1.0)])
+def test_value_iteration_agrees(name, weight):
+    low, high = value_iteration(OPERATORS[name], weight)
+    best = optimal_allocation(OPERATORS[name], weight=weight, min_dwell=0.0)
     assert high - low < 0.3
-    assert best.value == pytest.approx(0.5 * (low + high), abs=0.3)
+    assert best.value == approx(0.5 * (low + high), abs=0.3)
 
 
-def test_control_what_holding_the_best_utilization_earns_comes_near_the_bound(operators):
-    """A bound that is a point lower is exceeded."""
-    tsc = operators["2"]
-    run = tsc.simulate(repeated(35, 4, 120_000), 0.9).iloc[20_000:]
-    assert earned(tsc, run, 0.5) > certificate(tsc, 0.5, 1.0)[0] - 1.0
-
-
-def test_a_pattern_is_what_simulation_says_and_none_is_better(operators):
-    tsc = operators["4"]
-    best = tl.optimal_allocation(tsc, weight=0.5, min_dwell=15.0)
-    manual, autonomous = best.pattern
+def test_a_pattern_is_what_simulation_says_and_none_is_better():
+    tsc = OPERATORS["4"]
+    best = optimal_allocation(tsc, weight=0.5, min_dwell=15.0)
     assert min(best.pattern) >= 150
     period = sum(best.pattern)
     run = tsc.simulate(repeated(*best.pattern, 40 * period), 0.8).iloc[-10 * period :]
-    assert earned(tsc, run, 0.5) == pytest.approx(best.value, abs=1e-3)
-    assert run["r"].mean() == pytest.approx(best.mean_r, abs=1e-4)
-    assert run["p_r"].mean() == pytest.approx(best.mean_p_r, abs=1e-5)
-    for other in ((150, 150), (manual + 60, autonomous), (manual, autonomous + 10)):
-        worse = tsc.simulate(repeated(*other, 60_000), 0.8).iloc[-20_000:]
-        assert earned(tsc, worse, 0.5) < best.value + 0.05
+    assert earned(tsc, run, 0.5) == approx(best.value, abs=1e-3)
+    assert run["r"].mean() == approx(best.mean_r, abs=1e-4)
+    assert run["p_r"].mean() == approx(best.mean_p_r, abs=1e-5)
     assert best.threshold_value <= best.upper_bound
     run = settled(tsc, *best.thresholds, 90_000, r0=0.8)
-    assert earned(tsc, run, 0.5) == pytest.approx(best.threshold_value, abs=0.3)
+    assert earned(tsc, run, 0.5) == approx(best.threshold_value, abs=0.3)
 
 
-def test_no_phase_is_shorter_than_the_least_dwell_time_between_two_samples(operators):
-    tsc = operators["2"]
+def test_no_phase_is_shorter_than_the_least_dwell_time_between_two_samples():
+    tsc = SECOND
     robot = replace(tsc.robot, a=tsc.robot.a**10, b=None)
     slow = tl.TscModel(robot, replace(tsc.human, a=tsc.human.a**10))
-    best = tl.optimal_allocation(slow, min_dwell=2.5, sample_time=1.0)
+    best = optimal_allocation(slow, min_dwell=2.5, sample_time=1.0)
     cycle = tl.limit_cycle(slow, *best.thresholds)
     assert min(*best.pattern, cycle.dwell_manual[0], cycle.dwell_autonomous[0]) >= 3
 
 
-def test_a_pattern_may_need_longer_phases_than_forty_least_ones(operators):
-    best = tl.optimal_allocation(operators["1"], weight=1.0, min_dwell=15.0)
-    run = operators["1"].simulate(repeated(10_000, 150, 121_800), 0.8).iloc[-40_600:]
-    assert best.value > earned(operators["1"], run, 1.0) - 0.05
+def test_a_pattern_may_need_longer_phases_than_forty_least_ones():
+    best = optimal_allocation(OPERATORS["1"], weight=1.0, min_dwell=15.0)
+    run = OPERATORS["1"].simulate(repeated(10_000, 150, 121_800), 0.8).iloc[-40_600:]
+    assert best.value > earned(OPERATORS["1"], run, 1.0) - 0.05
 
 
-@pytest.mark.parametrize(("name", "pair"), [("2", (0.615, 0.617)), ("4", (0.59, 0.592))])
-def test_the_best_thresholds_may_lie_beyond_the_limits_of_theorem_1(operators, name, pair):
+@parametrize(("name", "pair"), [("2", (0.615, 0.617)), ("4", (0.59, 0.592))])
+def test_the_best_thresholds_may_lie_beyond_the_limits_of_theorem_1(name, pair):
     """None were tried there; these earn more than a point more than any within."""
-    best = tl.optimal_allocation(operators[name], weight=1.0, min_dwell=0.0)
-    run = settled(operators[name], *pair, r0=0.9)
-    assert best.threshold_value > earned(operators[name], run, 1.0) - 0.05
-    assert best.thresholds[1] > tl.threshold_limits(operators[name]).upper
-
-
-def test_less_work_is_allowed_and_costs(operators):
-    free = tl.optimal_allocation(operators["2"])
-    spared = tl.optimal_allocation(operators["2"], max_mean_r=0.6)
-    assert spared.mean_r <= 0.6 < free.mean_r
-    assert spared.value < free.value
-    assert 0.0 <= spared.gap < 1.0
-    assert spared.upper_bound < free.upper_bound
-    assert list(free.table()["value"])[:2] == [free.value, free.upper_bound]
+    best = optimal_allocation(OPERATORS[name], weight=1.0, min_dwell=0.0)
+    run = settled(OPERATORS[name], *pair, r0=0.9)
+    assert best.threshold_value > earned(OPERATORS[name], run, 1.0) - 0.05
+    assert best.thresholds[1] > tl.threshold_limits(OPERATORS[name]).upper
 
 
 def every_pattern(tsc, weight, longest, limit):
@@ -164,28 +137,29 @@ def every_pattern(tsc, weight, longest, limit):
     return best
 
 
-@pytest.mark.parametrize(("weight", "limit"), [(1.0, 0.492), (0.3, 0.31), (0.3, 0.753)])
-def test_under_a_limit_of_mean_r_no_pattern_is_better(operators, weight, limit):
-    tsc = operators["2"]
-    best = tl.optimal_allocation(tsc, weight=weight, min_dwell=0.0, max_mean_r=limit)
-    assert best.value > every_pattern(tsc, weight, 100, limit) - 0.05
+@parametrize(("weight", "limit"), [(1.0, 0.492), (0.3, 0.31), (0.3, 0.753)])
+def test_under_a_limit_of_mean_r_no_pattern_is_better(weight, limit):
+    best = optimal_allocation(SECOND, weight=weight, min_dwell=0.0, max_mean_r=limit)
+    assert best.value > every_pattern(SECOND, weight, 100, limit) - 0.05
     assert best.mean_r <= limit
-    assert best.value <= best.upper_bound
+    assert 0.0 <= best.gap < 1.0
 
 
-def test_a_low_limit_has_a_long_rest(operators):
-    best = tl.optimal_allocation(operators["2"], max_mean_r=0.015)
+def test_a_low_limit_has_a_long_rest():
+    best = optimal_allocation(SECOND, max_mean_r=0.015)
     assert best.pattern[0] >= 150
     assert best.mean_r <= 0.015
     assert best.value >= 3.1
 
 
-def test_the_certificate_holds_between_its_utilizations(operators):
-    """Oracle: the gain of (2.3)-(2.6) with quadrature of P_h, at random and beside the best r."""
+def test_the_certificate_holds_between_its_utilizations():
+    """
+    Oracle: the gain of (2.3)-(2.6) with quadrature of P_h, at random and beside the best r. That no
+    state gains more is why no rule earns more.
+    """
     rng = np.random.default_rng(0)
-    for tsc in operators.values():
-        human, robot = tsc.human, tsc.robot
-        weight = rng.random()
+    for tsc in (*OPERATORS.values(), *(random_case(rng)[0] for _ in range(20))):
+        human, robot, weight = tsc.human, tsc.robot, rng.random()
         bound, r_star = certificate(tsc, weight, 1.0)
         gain = 100.0 * weight * robot.b / (1.0 - robot.a) / (robot.p_max - robot.p_min)
         of_human = 100.0 * (1.0 - weight) / (human.p_max - human.p_min)
@@ -197,16 +171,3 @@ def test_the_certificate_holds_between_its_utilizations(operators):
                 drift = integrate.quad(human.performance, r, after, epsabs=1e-14)[0]
                 value = gain * (mode * p_h - drift / (1.0 - human.a))
                 assert value + of_human * (p_h - human.p_min) <= bound + 1e-9
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("count", [200, pytest.param(500, marks=pytest.mark.long)])
-def test_no_random_pattern_exceeds_the_certificate(random_model, count):
-    rng = np.random.default_rng(11)
-    for _ in range(count):
-        tsc, _, _ = random_model(rng)
-        weight, manual, autonomous = rng.random(), *rng.integers(1, 800, 2)
-        period = manual + autonomous
-        run = tsc.simulate(repeated(manual, autonomous, 40 * period + 20_000), rng.random())
-        last = run.iloc[-10 * period :]
-        assert earned(tsc, last, weight) <= certificate(tsc, weight, 1.0)[0] + 1e-3

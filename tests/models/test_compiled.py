@@ -34,11 +34,11 @@ def package_in(folder):
 
 def run(folder, code=RUN, **environment):
     """What a process prints on both streams that imports the package from a folder."""
-    inherited = {name: value for name, value in os.environ.items() if name != "TRUSTLAB_CACHE_DIR"}
-    env = inherited | {"PYTHONPATH": str(folder)} | {k: str(v) for k, v in environment.items()}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=env, cwd=folder, capture_output=True, text=True
-    )
+    env = os.environ | {"PYTHONPATH": str(folder)} | {k: str(v) for k, v in environment.items()}
+    if "TRUSTLAB_CACHE_DIR" not in environment:
+        env.pop("TRUSTLAB_CACHE_DIR", None)
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env=env, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout.split(), done.stderr
 

@@ -78,7 +78,8 @@ NOTICED_BY = {
     "teleoperation/team/graphs testbeds/ground_robot/course",
     "testbeds/test_robot_team.py": "teleoperation/team/graphs teleoperation/team/kernel "
     "teleoperation/team/settings testbeds/team_run",
-    "testbeds/test_team.py": "teleoperation/team/settings testbeds/team_run testbeds/team_testbed",
+    "testbeds/test_team.py": "models/simulation teleoperation/team/settings testbeds/team_run "
+    "testbeds/team_testbed",
     "testbeds/test_teleoperation_loop.py": "teleoperation/loop/* testbeds/teleoperation_measures",
     "testbeds/test_uav_tracking.py": "teleoperation/loop/* teleoperation/ports/device",
     "studies/test_against_r.py": "studies/mixed studies/repeated_measures",
