@@ -39,7 +39,7 @@ def measured(folder: Path) -> tuple[list[float], int, int]:
     log = folder / "robot.csv"
     robot = [PEER, "robot,operator", SECONDS + 100.0, log]
     run = driven(folder, robot, run_for_peer(folder), SECONDS + 5.0)
-    ticks = pd.read_csv(log, names=["t", "v", "w", "age", "delay", "stamp"])
+    ticks = pd.read_csv(log, names=["t", "v", "w", "delay", "stamp"])
     # A stamp is the first thing in a message with a header.
     poses = [data for topic, _, data in recorded_messages(run.path) if topic == "/pose"]
     stamps = [struct.unpack_from("<iI", data, 4) for data in poses]

@@ -6,13 +6,13 @@ in turn gets the values that its annotation and its good value suggest. The pack
 raise an error of its own that names an argument; and an argument must make a difference.
 """
 
-import contextlib
 import copy
 import doctest
 import inspect
 import io
 import linecache
 import math
+import os
 import re
 import shutil
 import signal
@@ -21,6 +21,7 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Mapping
+from contextlib import nullcontext, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
@@ -30,8 +31,7 @@ import numpy as np
 import pandas as pd
 
 import trustlab as tl
-from tests.good_calls import CALLS, CHEAPER, NOT_WALKED
-from tests.known_faults import ALLOWED, KNOWN
+from tests.good_calls import ALLOWED, CALLS, CHEAPER, NOT_WALKED
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = str(Path(tl.__file__).parent)
@@ -108,12 +108,11 @@ class Scratch:
         self.kept = self.state()
 
     def restore(self):
-        if self.state() == self.kept:
-            return
-        for path in self.here.iterdir():
-            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
-        shutil.copytree(self.backup, self.here, symlinks=True, dirs_exist_ok=True)
-        self.kept = self.state()
+        if self.state() != self.kept:
+            shutil.rmtree(self.here)
+            shutil.copytree(self.backup, self.here, symlinks=True)
+            os.chdir(self.here)
+            self.kept = self.state()
 
 
 def by_name(function, args, kwargs):
@@ -148,16 +147,15 @@ def recorded(owner, name, documented):
     scope = vars(sys.modules[documented.__module__]) | {"__name__": "__main__"}
     if scope.get(name) is function:
         scope[name] = recorder
-    # A folder of the example must not be deleted when the recorder leaves its `with`.
-    kept = mock.patch("tempfile.TemporaryDirectory", kept_folder)
-    quiet = contextlib.redirect_stdout(io.StringIO())
-    with mock.patch.object(owner, name, recorder), kept, quiet, contextlib.suppress(Recorded):
+    with (
+        mock.patch.object(owner, name, recorder),
+        # A folder of the example must not be deleted when the recorder leaves its `with`.
+        mock.patch("tempfile.TemporaryDirectory", return_value=nullcontext(tempfile.mkdtemp())),
+        redirect_stdout(io.StringIO()),
+        suppress(Recorded),
+    ):
         exec(compile(source, f"<example of {name}>", "exec"), scope)
     return calls[0] if calls else None
-
-
-def kept_folder():
-    return contextlib.nullcontext(tempfile.mkdtemp())
 
 
 def names():
@@ -178,11 +176,11 @@ def names():
 
 def called(key, value):
     """Say whether users call it: functions and settings; no errors, no classes of results."""
-    if inspect.isclass(value):
-        by_users = key in CALLS or ">>> " in (value.__doc__ or "")
-        abstract = issubclass(value, Exception) or getattr(value, "_is_protocol", False)
-        return not abstract and (by_users or not required(value))
-    return callable(value)
+    if not inspect.isclass(value):
+        return callable(value)
+    if issubclass(value, Exception) or getattr(value, "_is_protocol", False):
+        return False
+    return key in CALLS or ">>> " in (value.__doc__ or "") or not required(value)
 
 
 def required(function):
@@ -192,7 +190,7 @@ def required(function):
         for name, parameter in inspect.signature(function).parameters.items()
         if parameter.default is parameter.empty
         and name != "self"
-        and parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
+        and not parameter.kind.name.startswith("VAR")
     ]
 
 
@@ -332,7 +330,7 @@ def outcome(call, seconds=LIMIT, /, **changes):
     previous = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)  # again, if somebody catches it
     try:
-        with warnings.catch_warnings(), contextlib.redirect_stderr(io.StringIO()):
+        with warnings.catch_warnings(), redirect_stderr(io.StringIO()):
             warnings.simplefilter("ignore")
             warnings.simplefilter("error", RuntimeWarning)
             return call.answer(**changes), None
@@ -409,30 +407,29 @@ def alternative(value, good):
 
 
 def faults(call):
-    """Return the faults of a call by argument, as lines of text."""
+    """Return what is wrong with a call, as lines of text."""
     call.made, error = outcome(call, COMPILED)
     if error:
-        return {"": [f"the good call raises {error!r}"]}
+        return [f"the good call raises {error!r}"]
     plain, has_nan = content(call, call.made)
     function = not inspect.isclass(call.function)
     repeats = not function or content(call, outcome(call)[0])[0] == plain
     judged = function and repeats and plain not in ("[]", "[None]")
-    repeats = repeats or call.name in ALLOWED
-    found = {} if repeats else {"": ["the same call gives another answer"]}
+    found = [] if repeats or call.name in ALLOWED else ["the same call gives another answer"]
     for argument in [*call.arguments, WORD]:
         if argument == "self":
             continue
         lines, effects = [], []
-        tried = values(call, argument) if argument in call.arguments else [1.0]
+        good = call.arguments.get(argument, WORD)
+        tried = [1.0] if good is WORD else values(call, argument)
         default = call.parameters[argument].default if argument in call.parameters else WORD
         for value in tried:
-            if same(value, call.arguments.get(argument, WORD)) or same(value, default):
+            if same(value, good) or same(value, default):
                 continue
             answer, error = outcome(call, **{argument: value})
             if error is None:
                 now, now_nan = content(call, answer)
                 fault = fault_of_answer(call, argument, value, now_nan and not has_nan)
-                good = call.arguments.get(argument)
                 effects += [now != plain] if alternative(value, good) else []
             else:
                 fault = fault_of_error(error, call)
@@ -441,37 +438,9 @@ def faults(call):
                     tried += [option for option in options[:9] if option != WORD]
             if fault:
                 lines.append(f"{argument} = {' '.join(repr(value).split()):.60} {fault}")
+            plt.close("all")
         if judged and effects and not any(effects) and argument not in EXECUTION:
             lines.append(f"{argument} makes no difference")
-        plt.close("all")
-        if f"{call.name} {argument}" in ALLOWED:
-            lines = [line for line in lines if " raises " in line]
-        if lines:
-            found[argument] = lines
+        allowed = f"{call.name} {argument}" in ALLOWED
+        found += [line for line in lines if not allowed or " raises " in line]
     return found
-
-
-KINDS = {
-    " raises ": "foreign errors",
-    "object at .* is taken|'misspelt' is taken|None is taken": "anything is taken",
-    "is taken|gives NaN": "NaN is taken",
-    "no argument is named": "no argument named",
-    "makes no difference": "no difference",
-    "another answer": "another answer",
-}
-
-
-def kinds(lines):
-    """Return the kinds of the faults of an argument, in words of `tests/known_faults.py`."""
-    found = {words for pattern, words in KINDS.items() if re.search(pattern, "\n".join(lines))}
-    return found - {"NaN is taken"} if "anything is taken" in found else found
-
-
-def known(name):
-    """Return the kinds of faults that are known of a name, by argument."""
-    listed = {}
-    for kind, places in KNOWN.items():
-        for place, argument in map(str.split, places):
-            if place == name:
-                listed.setdefault(argument, set()).add(kind)
-    return listed

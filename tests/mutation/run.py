@@ -104,7 +104,7 @@ NOTICED_BY = {
     "live/tasks/test_ground_robot.py": "live/hands",
     "live/tasks/test_tasks.py": "live/hands live/task live/tasks/*",
     "ros/test_decision.py": "ros/core",
-    "ros/test_node.py": "ros/recorded",
+    "ros/test_node.py": "ros/feed ros/recorded ros/run",
 }
 # Only settings, pages, servers or caches, though they have tests of their own.
 LEFT_OUT = {

@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from tests.sessions.logs import message
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
+STEP = 50_000_000  # period of a run [ns]
 PACKAGES = ("std_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs")
 
 
@@ -83,7 +84,7 @@ class Node:
 
     def create_subscription(self, kind, topic, callback, profile, raw):
         assert raw
-        self.heard[topic] = callback
+        self.heard[topic] = kind, callback
         self.profiles[topic] = profile
 
     def create_timer(self, period, callback, clock):
@@ -94,9 +95,10 @@ class Node:
     def destroy_timer(self, timer):
         self.timers.remove(timer)
 
-    def send(self, topic, kind, stamp=None, **values):
+    def send(self, topic, stamp=None, **values):
         """Deliver a message; values by dotted field path, with __ for the dots."""
-        made = message(STORE, kind)
+        kind, callback = self.heard[topic]
+        made = kind()
         for path, value in values.items():
             part = made
             *steps, name = path.split("__")
@@ -105,8 +107,9 @@ class Node:
             setattr(part, name, value)
         if stamp is not None:
             made.header.stamp.sec, made.header.stamp.nanosec = divmod(stamp, 10**9)
-        self.heard[topic](serialize(made))
+        callback(serialize(made))
 
-    def tick(self):
+    def tick(self, period=STEP):
+        self.time += period
         for callback in self.timers:
             callback()

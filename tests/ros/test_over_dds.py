@@ -24,7 +24,7 @@ V_RATE = 1.0
 
 
 def log_of(path):
-    return pd.read_csv(path, names=["t", "v", "w", "age", "delay", "stamp"])
+    return pd.read_csv(path, names=["t", "v", "w", "delay", "stamp"])
 
 
 def agree(result):

@@ -123,7 +123,7 @@ class LiveCondition:
         numbers = {s: finite_number(f"the weight of {s}", weight) for s, weight in weights.items()}
         self.__dict__["suggestions"] = numbers
         if not any(numbers.values()):
-            raise ValueError("a rule needs a weight that is not zero")
+            raise ValueError("suggestions: a rule needs a weight that is not zero")
         if self.thresholds is None:
             raise ValueError("weights of signals need thresholds=(lower, upper)")
         # A sum lies in no limits of its own.

@@ -171,6 +171,27 @@ def function(name: str, value: Any) -> Callable:
     return value
 
 
+def text_of(name: str, value: Any) -> str:
+    """Return a text."""
+    if not isinstance(value, str):
+        raise ValueError(f"{name} must be a text, got {shown(value)}")
+    return value
+
+
+def list_of(name: str, values: Any) -> list:
+    """Return what a user gives in a list, or in another order, as a list."""
+    if isinstance(values, str) or not np.iterable(values):
+        raise ValueError(f"{name} must be a list, got {shown(values)}")
+    return list(values)
+
+
+def table_of(name: str, value: Any) -> Mapping:
+    """Return a mapping, such as a dict."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} must be a mapping, got {shown(value)}")
+    return value
+
+
 def one_of(name: str, value: Any, allowed: Iterable[str], also: str = "") -> str:
     """
     Return a word that is among those allowed; the error names `also` as well, what else an argument

@@ -292,8 +292,8 @@ class Loop:
         stop = run.done + samples
         if stop > self.count:
             raise ValueError(
-                f"the loop ends at t = {self.count * run.sample_time:g} s; make it with a longer "
-                "duration"
+                f"{samples} more samples go on beyond the loop, which ends at t = "
+                f"{self.count * run.sample_time:g} s; make it with a longer duration"
             )
         if hand is not None:
             place = np.clip(finite_array("hand", hand, length=3), -FARTHEST_HAND, FARTHEST_HAND)

@@ -118,7 +118,7 @@ def simulated_answers(
     """
     participant = whole_number("participant", participant)
     seed = whole_number("seed", seed, least=0)
-    if points not in (5, 7):
+    if whole_number("points", points) not in (5, 7):
         raise ValueError(f"points must be 5 or 7, got {points!r}")
     error, effort, agreement = experience(session, study).values()
     drives = {

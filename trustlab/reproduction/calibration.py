@@ -29,7 +29,7 @@ from scipy.spatial import KDTree
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import between, in_order, of_class, one_of, shown, whole_number
 from trustlab.models.display import Result
-from trustlab.models.files import write_atomically
+from trustlab.models.files import path_of, write_atomically
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.reproduction.effects import (
     TELEOPERATION,
@@ -420,10 +420,11 @@ def read_calibration(study: str, folder: str | os.PathLike) -> Calibration:
     ValueError
         If the folder has none of this study.
     """
-    table, about = (Path(folder) / f"{study}.{ending}" for ending in ("csv", "json"))
+    path = path_of("folder", folder)
+    table, about = (path / f"{study}.{ending}" for ending in ("csv", "json"))
     if not (table.is_file() and about.is_file()):
         raise ValueError(
-            f"{folder} holds no calibration of {study!r}: `make calibration` writes "
+            f"folder {folder} holds no calibration of study {study!r}: `make calibration` writes "
             "data/calibration"
         )
     facts = json.loads(about.read_text(encoding="utf-8"))

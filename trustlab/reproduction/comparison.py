@@ -6,6 +6,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pandas as pd
 
+from trustlab.models.checks import not_negative, table_of
 from trustlab.reproduction.printed import ROUNDINGS, half_unit, printed_decimal
 
 
@@ -80,20 +81,25 @@ def compare(
     printed_digits            3           2
     verdict          reproduced  reproduced
     """
+    stderr = {} if stderr is None else stderr
+    for name, table in {"values": values, "printed": printed, "stderr": stderr}.items():
+        table_of(name, table)
     if set(values) != set(printed):
         only = sorted(set(values) ^ set(printed))
         raise ValueError(
-            "both sides must have the same quantities; only on one side: "
+            "values and printed must have the same quantities; only on one side: "
             f"{', '.join(map(str, only))}"
         )
-    for name, error in (stderr or {}).items():
-        if name not in values or error < 0.0:
-            raise ValueError(f"stderr: {name!r} is no quantity, or its {error} is negative")
+    for name, error in stderr.items():
+        if name not in values:
+            raise ValueError(f"stderr: {name!r} is none of the quantities")
+        if not (isinstance(error, float) and np.isnan(error)):  # none, beside a bound
+            not_negative(f"stderr of {name}", error)
     rows = []
     for name, value in values.items():
         target = printed_decimal(printed[name])
         text = printed[name].strip()
-        error = float((stderr or {}).get(name, np.nan))
+        error = float(stderr.get(name, np.nan))
         counts = matching_digits(value, text), len(target.as_tuple().digits)
         verdict = "differs"
         if counts[0] == counts[1]:

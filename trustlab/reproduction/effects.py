@@ -258,7 +258,7 @@ def simulated_effects(
     >>> effects["id"].tolist()
     ['table_2.6/followed_percent/C2-C4']
     """
-    n, seed = whole_number("n", n, least=3), whole_number("seed", seed, least=0)
+    n, seed = whole_number("n", n, least=3, most=1_000_000), whole_number("seed", seed, least=0)
     chosen = effects_of(only)
     places = chosen["place"].unique()
     assumed = checked_assumptions(assumptions, assumptions_about(places))

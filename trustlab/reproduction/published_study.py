@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from trustlab.models.checks import flag, one_of, set_checked, shown, whole_number
+from trustlab.models.checks import flag, list_of, one_of, set_checked, shown, text_of, whole_number
 from trustlab.models.published import ByName
 from trustlab.reproduction.printed import printed_decimal, printed_interval
 from trustlab.reproduction.published import published_facts
@@ -110,8 +110,7 @@ class PublishedStudy:
 
     def _check(self) -> None:
         """Check every field; whether a number can be is not checked."""
-        if not isinstance(self.name, str):
-            raise ValueError(f"name must be a text, got {shown(self.name)}")
+        set_checked(self, text_of, "name", "title", "where")
         set_checked(self, lambda name, value: whole_number(name, value, least=3), "n")
         set_checked(self, flag, "listed_only", "not_spherical")
         set_checked(self, _printed, *PRINTED)
@@ -161,7 +160,7 @@ class PublishedStudy:
             If it does not name two different conditions.
         """
         for (i, a), (j, b) in combinations(enumerate(self.conditions), 2):
-            if name in (f"{a}-{b}", f"{b}-{a}"):
+            if isinstance(name, str) and name in (f"{a}-{b}", f"{b}-{a}"):
                 return i, j
         raise PublishedStudyError(
             f"pairs: {name!r} does not name two of the conditions {', '.join(self.conditions)}, as "
@@ -196,10 +195,7 @@ def _printed(key: str, value: object) -> dict[str, str]:
 
 def _names(key: str, value: Iterable[str]) -> tuple[str, ...]:
     """Return a list of names as a tuple."""
-    names = (value,) if isinstance(value, str) else tuple(value)
-    if isinstance(value, str) or not all(isinstance(name, str) for name in names):
-        raise ValueError(f"{key} must be a list of names, got {shown(value)}")
-    return names
+    return tuple(text_of(f"a name of {key}", name) for name in list_of(key, value))
 
 
 def _scale(key: str, value: Any) -> tuple[float, float]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.allocation.correction_run import OnlineCorrection
+from trustlab.allocation.limits import threshold_pair
 from trustlab.allocation.rules import PerformanceRule, ThresholdRule, prepared_rule
 from trustlab.live.condition import given_thresholds
 from trustlab.models.checks import (
@@ -25,6 +26,7 @@ from trustlab.models.checks import (
     finite_number,
     of_class,
     one_of,
+    table_of,
     whole_number,
 )
 from trustlab.models.tsc import TscModel, next_utilization
@@ -145,7 +147,7 @@ class CoreSettings(Checked):
             self.__dict__["wait"] = self.window
         if self.window < self.period:
             raise ValueError(f"window = {self.window} s is shorter than one step ({self.period} s)")
-        for name, watchdog in self.watchdogs.items():
+        for name, watchdog in table_of("watchdogs", self.watchdogs).items():
             of_class(f"watchdogs[{name!r}]", watchdog, Watchdog)
             actions = INPUTS[one_of("watchdogs", name, INPUTS)]
             one_of(f"action of the watchdog of {name}", watchdog.action, actions)
@@ -302,6 +304,8 @@ class AllocationCore:
         self.settings = of_class("settings", settings, CoreSettings)
         if (condition is None) == (rule is None):
             raise ValueError("AllocationCore needs one of these: a condition, C1 to C5, or a rule")
+        if thresholds is not None:
+            thresholds = threshold_pair("threshold", thresholds, most=LARGEST)
         self.condition = condition
         self.rule: Any = None
         self.mode: float = 1

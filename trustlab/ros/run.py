@@ -10,12 +10,14 @@ from typing import Any
 
 from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.allocation.limits import threshold_pair
-from trustlab.models.checks import Checked, finite_array, of_class, one_of, shown
+from trustlab.allocation.rules import prepared_rule
+from trustlab.models.checks import Checked, finite_array, of_class, one_of, shown, table_of
 from trustlab.models.published import published_models
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
 from trustlab.ros.core import FIELDS, AllocationCore, CoreSettings, Watchdog
 from trustlab.sessions.patterns import FieldPath
 from trustlab.sessions.session import Metadata, metadata_to_json
+from trustlab.testbeds.deciding import CONDITIONS
 
 
 @dataclass(frozen=True)
@@ -196,6 +198,14 @@ class RunSettings(Checked):
 
     def __post_init__(self):
         super().__post_init__()
+        if self.condition is not None:
+            one_of("condition", self.condition, CONDITIONS)
+        if not isinstance(self.rule, str | None):
+            prepared_rule(self.rule, None)
+        if self.correction is not None:
+            table_of("correction", self.correction)
+        for name, topic in table_of("topics", self.topics).items():
+            of_class(f"topics[{name!r}]", topic, Topic)
         # Refuses what a file cannot hold.
         metadata_to_json(_made(Metadata().changed, "facts", self.facts))
         for name in WRITTEN & set(self.facts):

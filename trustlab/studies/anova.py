@@ -20,7 +20,7 @@ from scipy import special
 from scipy.linalg import helmert
 from scipy.optimize import brentq
 
-from trustlab.models.checks import finite_numbers, not_negative, open_unit, positive
+from trustlab.models.checks import between, finite_numbers, not_negative, open_unit, positive
 
 # The end of the names of p and ε with each correction.
 CORRECTIONS = {"none": "", "greenhouse-geisser": "_gg", "huynh-feldt": "_hf"}
@@ -337,7 +337,9 @@ def partial_eta_interval(
         If F is negative or a number is not finite.
     """
     f, level = not_negative("f", f), open_unit("level", level)
-    df1, df2 = positive("df1", df1), positive("df2", df2)
+    df1, df2 = (
+        positive(name, between(name, df, 0.0, 1e9)) for name, df in {"df1": df1, "df2": df2}.items()
+    )
     tail = 0.5 * (1.0 - level)
     low, high = (noncentrality_limit(f, df1, df2, share) for share in (1.0 - tail, tail))
     total = df1 + df2

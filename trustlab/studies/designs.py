@@ -240,7 +240,8 @@ def latin_square_design(
     """
     conditions = labels_of("conditions", conditions, 2)
     if isinstance(participants, numbers.Number):
-        participants = tuple(range(1, whole_number("participants", participants) + 1))
+        count = whole_number("participants", participants, most=1_000_000)
+        participants = tuple(range(1, count + 1))
     else:
         participants = labels_of("participants", participants, 1)
     whole_squares = flag("whole_squares", whole_squares)

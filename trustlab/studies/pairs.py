@@ -10,6 +10,7 @@ import pandas as pd
 from scipy import special, stats
 from scipy.linalg import khatri_rao
 
+from trustlab.models.checks import shown
 from trustlab.studies.anova import Design, Regression
 
 
@@ -37,6 +38,9 @@ def holm(p: np.ndarray) -> np.ndarray:
         Unadjusted p-values of one family along the last axis; NaN stay NaN and do not count, as in
         R's p.adjust.
     """
+    p = np.asarray(p)
+    if p.dtype.kind not in "iuf" or not p.ndim or ((p < 0.0) | (p > 1.0)).any():
+        raise ValueError(f"p must hold p-values, from 0 to 1, got {shown(p)}")
     count = (~np.isnan(p)).sum(axis=-1, keepdims=True)
     order = np.argsort(p, axis=-1)  # NaN last
     steps = np.maximum(count - np.arange(p.shape[-1]), 1) * np.take_along_axis(p, order, axis=-1)

@@ -11,6 +11,7 @@ from scipy import special
 from scipy.optimize import brentq
 
 from trustlab.models.checks import (
+    between,
     finite_array,
     finite_number,
     finite_numbers,
@@ -85,7 +86,7 @@ def graded_covariance(
     """
     d = whole_number("k", k, least=2, most=1000) - 1
     rho, eps = finite_number("correlation", correlation), finite_number("epsilon", epsilon)
-    sd = positive("sd", sd)
+    sd = positive("sd", between("sd", sd, 0.0, 1e100))
     possible = 1.0 / d < eps <= 1.0 or eps == d == 1
     if not (possible and -1.0 / d < rho < 1.0):
         raise ValueError(

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from trustlab.models.checks import (
+    list_of,
     of_class,
     one_of,
     open_unit,
@@ -121,7 +122,7 @@ def clopper_pearson(count: ArrayLike, total: int, level: float = 0.95) -> tuple[
     ValueError
         If a count is not whole or lies outside 0 to `total`.
     """
-    total, level = whole_number("total", total), open_unit("level", level)
+    total, level = whole_number("total", total, most=10**15), open_unit("level", level)
     counts = np.asarray(count)
     if counts.dtype.kind not in "iu" or ((counts < 0) | (counts > total)).any():
         raise ValueError(f"count must hold whole numbers from 0 to {total}, got {count!r:.60}")
@@ -292,7 +293,7 @@ class PowerAnalysis(Tested):
         ValueError
             If a test is none of those.
         """
-        tests = [test] if isinstance(test, str) else [*test]
+        tests = [test] if isinstance(test, str) else list_of("test", test)
         for name in tests:
             one_of("test", name, TESTS)
         # Values as computed differ in the last bits between the cells of one line.

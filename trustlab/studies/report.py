@@ -15,7 +15,7 @@ import pandas as pd
 from trustlab.models.checks import of_class, one_of, shown
 from trustlab.models.display import Result
 from trustlab.models.extras import extra
-from trustlab.models.files import writing
+from trustlab.models.files import path_of, writing
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.words import apa_number, in_words, left_out, printed
 
@@ -87,8 +87,8 @@ class StudyReport(Result):
         ValueError
             If the ending is another one, or the place cannot be written to.
         """
-        path = Path(path)
-        kind = one_of(f"the ending of {shown(path.name)}", path.suffix.lower(), (".html", ".tex"))
+        path = path_of("path", path)
+        kind = one_of(f"the end of path {shown(path.name)}", path.suffix.lower(), (".html", ".tex"))
         tables = {
             title if self.origin in title else f"{title} [{self.origin}]": printed(table)
             for title, table in self.tables.items()

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.random import SeedSequence
 
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import counted, of_class, one_of, shown, warn, whole_number
+from trustlab.models.checks import counted, list_of, of_class, one_of, shown, warn, whole_number
 from trustlab.models.display import Result, axes_or_new
 from trustlab.models.files import path_of, writing
 from trustlab.models.simulation import asked
@@ -185,7 +185,9 @@ class VirtualStudy(Result):
         numpy.ndarray of matplotlib.axes.Axes
         """
         names = self.testbed.measures if measures is None else measures
-        names = [names] if isinstance(names, str) else list(names)
+        names = [names] if isinstance(names, str) else list_of("measures", names)
+        for name in names or [None]:
+            one_of("measures", name, self.names)
         title = f"{self.origin}, n = {self.measures['participant'].nunique()}"
         size = (2.5 * len(names), 3.2)
         axes = axes_or_new(None, 1, len(names), title, squeeze=False, figsize=size)[0]
@@ -305,7 +307,7 @@ def virtual_study(
             raise ValueError("design: make it with the number of participants, without names")
     bed, names = _fitting(testbed, conditions, laps)
     usual = participants_needed(len(labels_of("conditions", names, 2)), bed.printed_n)
-    n = whole_number("n", usual if n is None else n, least=max(3, len(names)))
+    n = whole_number("n", usual if n is None else n, least=max(3, len(names)), most=1_000_000)
     if design is None:
         design = latin_square_design(names, n, seed=seed, whole_squares=False)
     people = bed.people(n, assumptions, seed)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import counted, one_of
+from trustlab.models.checks import between, counted, one_of
 from trustlab.studies.table import mark
 
 # Column of p-values and its name in the sentence.
@@ -93,6 +93,8 @@ def apa_p(p: float) -> str:
     p : float
         A p-value.
     """
+    if not (isinstance(p, float) and np.isnan(p)):
+        between("p", p, 0.0, 1.0)
     if p < 0.001:
         return "p < .001"
     return "p > .999" if p >= 0.9995 else f"p = {apa_number(p, 3, below_one=True)}"

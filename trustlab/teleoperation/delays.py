@@ -13,6 +13,7 @@ from trustlab.models.checks import (
     in_order,
     not_negative,
     positive,
+    shown,
     whole_seed,
 )
 from trustlab.models.simulation import asked
@@ -162,7 +163,11 @@ def packet_delay(sent: np.ndarray, received: np.ndarray) -> Delay:
         If the trace runs backwards: a packet sent before the one before it, or received before it
         was sent.
     """
-    sent, received = finite_array("sent", sent), np.asarray(received, dtype=float)
+    sent = finite_array("sent", sent)
+    try:
+        received = np.asarray(received, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"received must be times, got {shown(received)}") from None
     if received.shape != sent.shape:
         raise ValueError(
             f"sent and received need the same number of packets, got {sent.shape} and "

@@ -405,7 +405,6 @@ class OperatorPopulation:
     person = staticmethod(person_of)
 
 
-@cache
 def following_operator(participant: int | str) -> tuple[Operator, TscModel, tuple[float, float]]:
     """
     Return one of the twenty seeded operators of the UAV with their model and thresholds of TSC.
@@ -424,6 +423,11 @@ def following_operator(participant: int | str) -> tuple[Operator, TscModel, tupl
     number = whole_number(
         "participant", int(name) if name.isdecimal() else participant, most=PARTICIPANTS
     )
+    return _followed(number)
+
+
+@cache
+def _followed(number: int) -> tuple[Operator, TscModel, tuple[float, float]]:
     rows = OperatorPopulation.uav_following().draw(number, seed=0).to_dict("records")
     return person_of(rows[-1])
 

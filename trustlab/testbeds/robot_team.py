@@ -402,7 +402,7 @@ class TeamLoop(Loop):
             If the run grows without bound.
         """
         able = self._able()
-        if leader not in (None, *able):
+        if not isinstance(leader, Hashable) or leader not in (None, *able):
             raise ValueError(f"leader must be one of {able}, got {leader!r}")
         stop = self._held(whole_number("samples", samples), hand)
         if leader is not None:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class
+from trustlab.models.checks import list_of, of_class
 from trustlab.models.display import axes_or_new
 from trustlab.sessions.session import Session
 
@@ -72,7 +72,7 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
     0      M   1.00             -0.0
     1   TMIG   0.34             -0.0
     """
-    runs = [sessions] if isinstance(sessions, Session) else list(sessions)
+    runs = [sessions] if isinstance(sessions, Session) else list_of("sessions", sessions)
     if not runs:
         raise ValueError("sessions is empty: give at least one run of simulate_teleoperation")
     for number, run in enumerate(runs):

@@ -23,6 +23,8 @@ from trustlab.models.checks import (
     array_between,
     between,
     changes,
+    finite_array,
+    finite_number,
     finite_numbers,
     function,
     named,
@@ -184,6 +186,8 @@ class TrackingTask(Checked):
         position, velocity : numpy.ndarray, shape (N, 3)
             In m and m/s.
         """
+        t, phase = finite_array("t", t), finite_number("phase", phase)
+        height = finite_number("height", height)
         # for a root mean square speed of `speed`
         rate = self.speed / np.sqrt(0.5 * self.size_x**2 + 2.0 * self.size_y**2)
         turn = rate * t + phase

@@ -85,7 +85,9 @@ class TrustComparison(Result):
             Columns split, measure, model, difference (of squared errors, not of their roots), se,
             ci_low, ci_high (Student's t over people), people.
         """
-        reference = one_of("against", against or self.against, self.scores["model"].unique())
+        reference = one_of(
+            "against", self.against if against is None else against, self.scores["model"].unique()
+        )
         long = self.scores.melt(["split", "person", "model"], MEASURES[:4], "measure", "score")
         wide = long.pivot_table("score", ["split", "measure", "person"], "model", sort=False)
         apart = wide.drop(columns=reference).sub(wide[reference], axis=0)
@@ -103,10 +105,10 @@ def named_models(models: Models) -> dict[str, type[TrustDynamics]]:
     """Return classes by name: all models and baselines when none are chosen."""
     if models is None:
         return MODELS | BASELINES
-    if isinstance(models, str) or not len(models):
+    if isinstance(models, str) or not np.iterable(models) or not len(models):
         raise ValueError(f"models must be several, or [one], got {models!r}")
     if not isinstance(models, Mapping):
-        models = {getattr(model, "__name__", model): model for model in models}
+        models = {str(getattr(model, "__name__", model)): model for model in models}
     return {str(name): model_class(model) for name, model in models.items()}
 
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import scipy
 
-from trustlab.models.checks import between
+from trustlab.models.checks import between, finite_number, shown
 
 # Least probability of a rating: a rating that a model excludes costs 69 nats, not infinitely many.
 LEAST = 1e-30
@@ -255,6 +255,9 @@ def parameter(default: float, low: float, high: float) -> Any:
     >>> tl.trust.parameter(0.2, 0.0, 1.0).metadata["range"]
     (0.2, 0.0, 1.0)
     """
+    default, low = finite_number("default", default), finite_number("low", low)
+    if not isinstance(high, int | float) or not low < high:
+        raise ValueError(f"high must be a number above low = {low}, got {shown(high)}")
     return field(default=default, metadata={"range": (default, low, high)})
 
 

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from trustlab.models.checks import finite_numbers, flag, of_class
 from trustlab.trust.interface import LEAST, TrustDynamics, cell
 from trustlab.trust.panel import Panel, panel_until
 
@@ -68,7 +69,9 @@ def predict(
     -------
     Predictions
     """
-    scale = _scale(model, panel)
+    of_class("model", model, TrustDynamics)
+    scale = _scale(model, of_class("panel", panel, Panel))
+    free, known = flag("free", free), finite_numbers("known", known)
     ratings = panel_until(panel, known).ratings if free else panel.ratings
     belief = model.start(ratings[:, 0], **scale)
     distributions, preference = [], np.empty((len(panel), panel.trials))
@@ -103,7 +106,9 @@ def simulate_ratings(model: TrustDynamics, panel: Panel, rng: np.random.Generato
     -------
     Panel
     """
-    ratings = panel.ratings.copy()
+    of_class("model", model, TrustDynamics)
+    of_class("rng", rng, np.random.Generator)
+    ratings = of_class("panel", panel, Panel).ratings.copy()
     belief = model.start(ratings[:, 0], **_scale(model, panel))
     steps = round(1.0 / panel.resolution)
     for k in range(panel.trials):

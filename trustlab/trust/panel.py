@@ -15,6 +15,7 @@ from trustlab.models.checks import (
     one_of,
     positive,
     shown,
+    whole_number,
 )
 from trustlab.trust.interface import Event
 
@@ -72,6 +73,7 @@ class Panel:
         k : int
             The trial, from 0.
         """
+        k = whole_number("k", k, least=0, most=self.trials - 1)
         absent = np.isnan(self.events.dt[:, k])
         pairs = zip(Event(dt=0.0), self.events, strict=True)
         return Event(*(np.where(absent, usual, signal[:, k]) for usual, signal in pairs))
@@ -86,6 +88,9 @@ class Panel:
             Their rows; a row may occur several times.
         """
         rows = np.asarray(rows)
+        whole = rows.ndim == 1 and rows.dtype.kind in "iu"
+        if not (whole and np.isin(rows, np.arange(len(self))).all()):
+            raise ValueError(f"rows must be whole numbers below {len(self)}, got {shown(rows)}")
         events = Event(*(signal[rows] for signal in self.events))
         people = tuple(self.people[i] for i in rows)
         return replace(self, people=people, events=events, ratings=self.ratings[rows])

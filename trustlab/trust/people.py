@@ -13,6 +13,7 @@ import pandas as pd
 from scipy import special
 
 from trustlab.models.checks import did_you_mean, one_of
+from trustlab.models.files import path_of
 from trustlab.models.published import data_folder
 from trustlab.sessions.errors import damage_named
 from trustlab.trust.panel import Panel, panel_of
@@ -86,10 +87,10 @@ def read_people(name: Any, recipe: Mapping | str | os.PathLike | None = None) ->
     # A live study is known by its measures: its room is below this one.
     if hasattr(name, "measures"):
         return panel_of(name.measures, **STUDY_RECIPE | {"source": repr(name)} | settings)
-    path = Path(name)
+    path = path_of("name, where it is no set, table or study,", name)
     if not path.is_file():
         meant = did_you_mean(name, SETS)
-        raise ValueError(f"no set or file {str(name)!r}{meant} (sets: {', '.join(SETS)})")
+        raise ValueError(f"name: no set or file {str(name)!r}{meant} (sets: {', '.join(SETS)})")
     with damage_named(f"{path}: no table", "save it with commas and decimal points, in UTF-8"):
         table = pd.read_csv(path)
         if table.shape[1] == 1:

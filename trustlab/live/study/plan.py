@@ -34,6 +34,7 @@ from trustlab.live.tasks.ground_robot import warn_if_too_short
 from trustlab.live.trial import made_by
 from trustlab.models.checks import (
     flag,
+    list_of,
     of_class,
     one_of,
     shown,
@@ -138,7 +139,9 @@ class LiveStudy:
         for name in settings:
             one_of("a setting", name, vars(kind()))
         drives = replace(kind() if drives is None else of_class("drives", drives, kind), **settings)
-        conditions = protocol.conditions if conditions is None else conditions
+        conditions = (
+            protocol.conditions if conditions is None else list_of("conditions", conditions)
+        )
         personal = {c.name: asdict(c) for c in conditions if isinstance(c, LiveCondition)}
         if personal and task != "ground_robot":
             raise ValueError(f"a LiveCondition belongs to the ground robot; {task} has its own")
@@ -180,7 +183,7 @@ class LiveStudy:
         self._freeze()
 
     def _holds(self, folder: str | os.PathLike, content: dict) -> None:
-        self.folder, self.content = Path(folder).absolute(), content
+        self.folder, self.content = path_of("folder", folder).absolute(), content
         self.digest: str = content["digest"]  # every file of the study is linked to it
         self.orders: dict[str, list[str]] = content["orders"]
         self.groups: dict[str, str] = content["groups"]
@@ -204,7 +207,7 @@ class LiveStudy:
             If there is no plan in it, or one that was changed or is of another version.
         """
         plan = cls.__new__(cls)
-        plan._holds(folder, read_plan(Path(folder)))
+        plan._holds(folder, read_plan(path_of("folder", folder)))
         return plan
 
     def _freeze(self) -> None:
@@ -400,7 +403,7 @@ def _codes(participants: int | Sequence[str]) -> list[str]:
         return [f"P{number:02d}" for number in range(1, count + 1)]
     if isinstance(participants, Set):
         raise ValueError(f"participants must be in an order, a list, got {shown(participants)}")
-    codes = list(participants)
+    codes = list_of("participants", participants)
     for code in codes:
         if not isinstance(code, str) or not CODE.fullmatch(code):
             raise ValueError(

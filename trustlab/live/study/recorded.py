@@ -23,7 +23,7 @@ from trustlab.live.task import LEAST_ROWS
 from trustlab.live.trial import Record
 from trustlab.models.display import as_html
 from trustlab.models.extras import extra
-from trustlab.models.files import write_atomically
+from trustlab.models.files import path_of, write_atomically
 from trustlab.sessions.session import Session
 from trustlab.sessions.vocabulary import VOCABULARY
 from trustlab.studies.order_effects import OrderEffects, order_effects
@@ -523,7 +523,7 @@ class RecordedStudy:
             "exclusions": self.exclusions(),
             "faults": self.faults(),
         }
-        target = self.plan.folder / "report-data.zip" if path is None else Path(path)
+        target = self.plan.folder / "report-data.zip" if path is None else path_of("path", path)
         about = f"Live study {self.plan.folder.name}. {self.summary()}"
         write_export(target, tables, about, self.task.name)
         return target

@@ -20,6 +20,7 @@ from trustlab.models.checks import (
     not_negative,
     one_of,
     shown,
+    text_of,
 )
 from trustlab.models.compiled import njit
 from trustlab.models.display import axes_or_new
@@ -263,6 +264,7 @@ class Scheme(Checked):
         super().__post_init__()
         if not isinstance(self.name, str) or not self.name:
             raise ValueError(f"name must be a text, got {shown(self.name)}")
+        text_of("title", self.title)
         if not callable(self.shares):
             one_of("shares", self.shares, RULES, also="a function of the state")
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import finite_number
+from trustlab.models.checks import finite_number, flag
 
 
 class GraphError(ValueError):
@@ -54,6 +54,7 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
     GraphError
         If the graph is none of that; parts, loops and edges are named.
     """
+    require_connected = flag("require_connected", require_connected)
     names, matrix = _matrix(graph)
     if len(names) < 2:
         raise GraphError(f"a team needs two robots or more, got {len(names)}")

@@ -13,12 +13,15 @@ from trustlab.models.checks import (
     NotNegative,
     Positive,
     Share,
+    finite_numbers,
     not_negative,
     of_class,
     one_of,
     positive,
+    set_checked,
 )
 from trustlab.models.trust import TrustModel
+from trustlab.teleoperation.delays import both_ways, delay_from
 from trustlab.teleoperation.ports.device import HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
 from trustlab.teleoperation.team.graphs import GraphError, laplacian, team_graph
@@ -55,6 +58,8 @@ class TeamChannel(Checked):
     def __post_init__(self):
         super().__post_init__()
         one_of("filters", self.filters, FILTERS)
+        for name, delay in both_ways(self.delay).items():
+            delay_from(name, delay, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +91,11 @@ class TeamTrial(Checked):
     tolerance: Positive = 1e-3
     start: np.ndarray | None = None
     require_connected: bool = True
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.start is not None:
+            set_checked(self, finite_numbers, "start")
 
     @property
     def samples_per_row(self) -> int:
