@@ -6,11 +6,11 @@ squares.
 
 import numpy as np
 import pandas as pd
-import pytest
 from scipy import stats
 
 import trustlab as tl
 from tests.cases import refused
+from tests.studies.scores import parametrize
 from trustlab.studies.anova import Design, effects, mauchly_p_value
 
 OMNIBUS = ["F", "p", "p_gg", "p_hf", "epsilon_gg", "epsilon_hf", "epsilon_hf_untruncated"]
@@ -27,7 +27,7 @@ def analysed(array):
     return tl.repeated_measures_batch(array).droplevel("effect")
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("n", "k", "defined"),
     [(9, 2, False), (3, 3, True), (3, 4, False), (5, 5, True), (5, 6, False)],
 )

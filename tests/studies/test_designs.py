@@ -11,12 +11,13 @@ from collections import Counter
 
 import numpy as np
 import pandas as pd
-import pytest
 from hypothesis import given, settings, strategies as st
+from numpy.testing import assert_allclose
+from pandas.testing import assert_frame_equal
 
 import trustlab as tl
 from tests.cases import refused
-from tests.studies.scores import reference
+from tests.studies.scores import parametrize, reference
 from trustlab.studies.designs import design_balance, latin_square_design, williams_square
 
 # --- designs --------------------------------------------------------------------------------------
@@ -31,8 +32,8 @@ def counted(rows):
     return places, Counter(pair for row in rows for pair in itertools.pairwise(row))
 
 
-@pytest.mark.parametrize("squares", [1, 3])
-@pytest.mark.parametrize(("k", "size"), SIZES.items())
+@parametrize("squares", [1, 3])
+@parametrize(("k", "size"), SIZES.items())
 def test_whole_assignments_are_balanced_in_position_and_carry_over(k, size, squares):
     assert williams_square(k).shape == (size, k)
     names, n = [f"C{i}" for i in range(k)], squares * size
@@ -52,7 +53,7 @@ def test_whole_assignments_are_balanced_in_position_and_carry_over(k, size, squa
 def test_more_participants_change_no_order(k, seed):
     names = range(k)
     small, large = (latin_square_design(names, m * SIZES[k], seed=seed).table() for m in (1, 3))
-    pd.testing.assert_frame_equal(small, large.iloc[: SIZES[k]])
+    assert_frame_equal(small, large.iloc[: SIZES[k]])
 
 
 def test_conditions_and_people_may_be_pairs_and_an_index_has_no_part_in_the_balance():
@@ -89,18 +90,18 @@ def williams():
     return frame.rename(columns={"participant": "subject"}).assign(score=score)
 
 
-@pytest.mark.parametrize("name", SETS)
+@parametrize("name", SETS)
 def test_agrees_with_r(name):
     found = effects_of(frame_of(name))
     for effect in ("position", "condition", "carry_over", "condition_without_carry_over"):
         wanted = SETS[name][effect]
         if wanted["F"] is not None:
             ours = found.loc[effect, [*wanted]].astype(float)
-            np.testing.assert_allclose(ours, [*wanted.values()], rtol=1e-9)
+            assert_allclose(ours, [*wanted.values()], rtol=1e-9)
     pairs = run(frame_of(name)).pairs()
     pairs["se"] = pairs["mean_difference"] / pairs["t"]
     found = pairs[["a", "b", "mean_difference", "se"]]
-    np.testing.assert_allclose(found.astype(float), SETS[name]["pairs"], rtol=1e-8)
+    assert_allclose(found.astype(float), SETS[name]["pairs"], rtol=1e-8)
 
 
 def test_two_periods_do_not_separate_carry_over_and_say_so():
@@ -121,14 +122,14 @@ def test_adjusted_differences_do_not_see_carry_over_and_raw_means_do():
     before = frame.sort_values(["subject", "position"]).groupby("subject")["condition"].shift()
     clean = run(frame).pairs()
     carried = run(frame.assign(score=frame["score"] + 3.0 * (before == "D"))).pairs()
-    np.testing.assert_allclose(carried["mean_difference"], clean["mean_difference"], atol=1e-9)
-    np.testing.assert_allclose(carried["p"], clean["p"], rtol=1e-6)
+    assert_allclose(carried["mean_difference"], clean["mean_difference"], atol=1e-9)
+    assert_allclose(carried["p"], clean["p"], rtol=1e-6)
 
 
 def test_categories_that_do_not_occur_and_columns_named_twice():
     frame = williams()
     found = run(frame.assign(condition=pd.Categorical(frame["condition"], ["never", *"DCBA"])))
-    pd.testing.assert_frame_equal(found.table(), run(frame).table())
+    assert_frame_equal(found.table(), run(frame).table())
     assert found.pairs()["a"].tolist() == [*"DDDCCB"]
     with refused("columns must be different"):
         tl.order_effects(frame, "score", "position", "position")

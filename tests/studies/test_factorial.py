@@ -7,11 +7,11 @@ import re
 
 import numpy as np
 import pandas as pd
-import pytest
+from numpy.testing import assert_allclose
 
 import trustlab as tl
 from tests.cases import refused
-from tests.studies.scores import analysed_set, drawn, reference
+from tests.studies.scores import analysed_set, approx, drawn, parametrize, reference
 
 SETS = reference("factorial")["sets"]
 SAME = ["F", "df1", "df2", "p", "eta2_generalized", "eta2_partial", "ss_effect", "ss_error"]
@@ -26,7 +26,7 @@ def label(text):
     return re.sub(r"^X(?=\d)", "", text).replace("Golden.Rain", "Golden Rain")
 
 
-@pytest.mark.parametrize(
+@parametrize(
     "name", [name for name in SETS if len(SETS[name]["within"] + SETS[name]["between"]) > 1]
 )
 def test_every_effect_agrees_with_r(name):
@@ -42,11 +42,11 @@ def test_every_effect_agrees_with_r(name):
         elif theirs["epsilon_hf_untruncated"] > 1.0:
             left_out |= {"p_hf"}
         for number in set(SAME) - left_out:
-            expected = pytest.approx(theirs[number], rel=1e-8, abs=1e-11)
+            expected = approx(theirs[number], rel=1e-8, abs=1e-11)
             assert ours[number] == expected, (theirs["effect"], number)
 
 
-@pytest.mark.parametrize("name", [name for name in SETS if SETS[name]["pairs"]])
+@parametrize("name", [name for name in SETS if SETS[name]["pairs"]])
 def test_pairs_agree_with_emmeans(name):
     result = analysed_set(SETS[name])
     numbers = ["mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"]
@@ -60,7 +60,7 @@ def test_pairs_agree_with_emmeans(name):
             (*map(label, (*pair, level)),) for pair, level in zip(names, rows["level"], strict=True)
         ]
         expected = rows[numbers]
-        np.testing.assert_allclose(ours.loc[keys], expected, rtol=1e-8, atol=1e-10)
+        assert_allclose(ours.loc[keys], expected, rtol=1e-8, atol=1e-10)
 
 
 def two_way(n=10, seed=0):
@@ -93,7 +93,7 @@ def test_what_a_reader_sees():
     assert levels[:3] == ["b2", "b0", "b1"]
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("columns", "arguments", "message"),
     [
         ({}, {"order": {"C": ["a0"]}}, "order: 'C' is not a factor"),
@@ -129,7 +129,7 @@ def test_a_covariate_has_no_line_in_the_figure_and_adjusts_groups():
     people = frame.groupby("person").agg({"score": "mean", "age": "first", "group": "first"})
     x = np.column_stack([people["group"] == "expert", people["age"], np.ones(10)])
     slope = np.linalg.lstsq(x, people["score"])[0][0]
-    assert row["mean_difference"] == pytest.approx(slope, rel=1e-9)
+    assert row["mean_difference"] == approx(slope, rel=1e-9)
     assert row["df"] == 10 - 3
 
 
@@ -139,4 +139,4 @@ def test_groups_are_compared_within_groups():
     pairs = run(frame, between=["group", "sex"]).pairs("group", at="sex")
     means = frame.groupby(["group", "sex"])["score"].mean()
     expected = (means["expert"] - means["novice"]).loc[pairs["level"]]
-    np.testing.assert_allclose(pairs["mean_difference"], expected, rtol=1e-9)
+    assert_allclose(pairs["mean_difference"], expected, rtol=1e-9)

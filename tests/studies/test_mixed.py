@@ -9,18 +9,20 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
+from pandas.testing import assert_frame_equal
 from scipy import optimize, stats
 from statsmodels.tools.numdiff import approx_fprime, approx_hess
 
 import trustlab as tl
 from tests.cases import refused
-from tests.studies.scores import COLUMNS, drawn, long, reference
+from tests.studies.scores import COLUMNS, approx, drawn, long, parametrize, reference
 
 SETS = reference("formula_model")["sets"]
 GROUPED = COLUMNS | {"between": "group"}
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("n", "k", "people", "studies"),
     [(8, 3, 0.3, 30), (24, 4, 1.0, 1), (12, 10, 1.0, 1), (24, 4, 300.0, 1), (8, 2, 2.0, 1)],
 )
@@ -46,13 +48,13 @@ def test_complete_data_give_the_anova(n, k, people, studies):
         numbers = [found.F, found.p, found.residual_variance, found.subject_variance, found.icc]
         expected = [f, stats.f.sf(f, k - 1, df2), residual, variance]
         expected.append(variance / (variance + residual))
-        np.testing.assert_allclose(numbers, expected, rtol=2e-5 if people > 100.0 else 1e-6)
+        assert_allclose(numbers, expected, rtol=2e-5 if people > 100.0 else 1e-6)
         assert (found.df1, found.df2, found.singular) == (k - 1, df2, not variance)
-        np.testing.assert_allclose(found.means["mean"], mean, rtol=1e-9, atol=1e-9)
+        assert_allclose(found.means["mean"], mean, rtol=1e-9, atol=1e-9)
         formula = tl.formula_model("score ~ mode", long(values), "person")
         assert formula.singular == found.singular
         variances = formula.random_effects()["variance"]
-        assert variances[0] == pytest.approx(found.subject_variance, rel=1e-7, abs=1e-12)
+        assert variances[0] == approx(found.subject_variance, rel=1e-7, abs=1e-12)
     assert positive == studies or 0.3 * studies < positive < 0.85 * studies
 
 
@@ -84,24 +86,24 @@ def test_groups_with_missing_cells_by_brute_force():
         lambda logs: restricted(np.exp(logs), x, frame)[0], [0.0, 0.0], xtol=1e-9, ftol=1e-13
     )
     variances = [model.subject_variance, model.residual_variance]
-    np.testing.assert_allclose(variances, np.exp(best), rtol=1e-5)
+    assert_allclose(variances, np.exp(best), rtol=1e-5)
     _, beta, covariance = restricted(variances, x, frame)
-    np.testing.assert_allclose(model.means["mean"], cells @ beta, rtol=1e-7)
-    np.testing.assert_allclose(model.means["se"] ** 2, np.diag(cells @ covariance @ cells.T))
+    assert_allclose(model.means["mean"], cells @ beta, rtol=1e-7)
+    assert_allclose(model.means["se"] ** 2, np.diag(cells @ covariance @ cells.T))
     table = model.table().set_index("effect")
     for effect, at in {"group": [1], "mode": [2, 3], "group × mode": [4, 5]}.items():
         chi2 = beta[at] @ np.linalg.solve(covariance[np.ix_(at, at)], beta[at])
-        assert table.loc[effect, "chi2"] == pytest.approx(chi2, rel=1e-9)
+        assert table.loc[effect, "chi2"] == approx(chi2, rel=1e-9)
     assert table["df2"].tolist() == [14 - 2, 39 - 14 - 4, 39 - 14 - 4]
     assert (model.n, model.cells, model.missing_cells) == (14, 39, 3)
     pair = model.pairs(at="group").set_index(["level", "a", "b"]).loc[("expert", "a", "c")]
     contrast = cells[0] - cells[2]
-    assert pair["mean_difference"] == pytest.approx(contrast @ beta)
-    assert pair["t"] == pytest.approx(contrast @ beta / np.sqrt(contrast @ covariance @ contrast))
-    assert pair["d_z"] == pytest.approx(contrast @ beta / np.sqrt(2 * model.residual_variance))
+    assert pair["mean_difference"] == approx(contrast @ beta)
+    assert pair["t"] == approx(contrast @ beta / np.sqrt(contrast @ covariance @ contrast))
+    assert pair["d_z"] == approx(contrast @ beta / np.sqrt(2 * model.residual_variance))
 
 
-@pytest.mark.parametrize("factor", ["mode", "group"])
+@parametrize("factor", ["mode", "group"])
 def test_pairs_without_missing_cells_are_those_of_the_anova(factor):
     """Between groups; within, by the mean square of the error, where both models are the same."""
     frame = drawn(14, seed=3)
@@ -115,9 +117,9 @@ def test_pairs_without_missing_cells_are_those_of_the_anova(factor):
         other = other.assign(t=t, df=error["df2"], p=p, d_z=t / np.sqrt(14))
     else:
         names += ["ci_low", "ci_high", "p_holm"]
-    np.testing.assert_allclose(ours[names], other[names], rtol=1e-5)
+    assert_allclose(ours[names], other[names], rtol=1e-5)
     sd = np.sqrt(model.subject_variance + model.residual_variance)
-    assert ours["d_av"].tolist() == pytest.approx(ours["mean_difference"] / sd)
+    assert ours["d_av"].tolist() == approx(ours["mean_difference"] / sd)
 
 
 def test_the_call_that_an_error_recommends_works_as_typed():
@@ -142,7 +144,7 @@ def test_who_has_no_score_is_named():
         assert said == each.singular == (each is alike)
 
 
-@pytest.mark.parametrize("at", ["mode", "task"])
+@parametrize("at", ["mode", "task"])
 def test_groups_at_one_level_have_the_degrees_of_freedom_of_satterthwaite(at):
     """
     They had those of the group's mean. Oracle: the restricted likelihood of both variances with
@@ -163,8 +165,8 @@ def test_groups_at_one_level_have_the_degrees_of_freedom_of_satterthwaite(at):
     slope = approx_fprime(best, variance, centered=True)
     expected = 2.0 * variance(best) ** 2 / (slope @ np.linalg.solve(information, slope))
     pair = model.pairs("group", at=at).iloc[0]
-    assert (pair["mean_difference"] / pair["t"]) ** 2 == pytest.approx(variance(best))
-    assert pair["df"] == pytest.approx(expected, rel=1e-4)
+    assert (pair["mean_difference"] / pair["t"]) ** 2 == approx(variance(best))
+    assert pair["df"] == approx(expected, rel=1e-4)
 
 
 def test_the_interval_of_partial_eta_squared_is_that_of_the_anova():
@@ -173,13 +175,13 @@ def test_the_interval_of_partial_eta_squared_is_that_of_the_anova():
     ours = tl.mixed_model(frame, **GROUPED).table()
     anova = tl.repeated_measures(frame, **GROUPED, correction="none").table()
     names = ["effect", "df1", "df2", "F", "eta2_partial", "eta2_partial_low", "eta2_partial_high"]
-    pd.testing.assert_frame_equal(ours[names], anova[names], check_dtype=False)
+    assert_frame_equal(ours[names], anova[names], check_dtype=False)
 
 
 EXACT = long(0.1 * np.arange(6)[:, None] + 0.7 * np.arange(3))
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("frame", "message"),
     [
         (EXACT.drop(index=7), "dv or formula: the scores leave no error variance"),
@@ -194,25 +196,25 @@ def test_scores_without_an_error_are_refused(frame, message):
 # Models by formula.
 
 
-@pytest.mark.parametrize("name", SETS)
+@parametrize("name", SETS)
 def test_formula_model_agrees_with_lme4(name):
     own = SETS[name]
     fit = tl.formula_model(own["formula"], pd.DataFrame(own["data"]), groups=own["groups"])
-    assert fit.log_likelihood == pytest.approx(own["log_likelihood"], abs=1e-9)
+    assert fit.log_likelihood == approx(own["log_likelihood"], abs=1e-9)
     assert fit.singular == own["singular"]
     table = fit.table().set_index("term")
     for test in own["tests"]:
         row = table.loc[test["term"]]
         assert row["df"] == test["df"]
-        assert row["chi2"] == pytest.approx(test["chi2"], abs=1e-7)
-        assert row["p_chi2"] == pytest.approx(test["p"], rel=1e-7)
+        assert row["chi2"] == approx(test["chi2"], abs=1e-7)
+        assert row["p_chi2"] == approx(test["p"], rel=1e-7)
     coefficients = fit.coefficients_table()
-    np.testing.assert_allclose(coefficients["estimate"], own["estimate"], rtol=1e-8)
-    np.testing.assert_allclose(coefficients["se"], own["se"], rtol=1e-6)
-    np.testing.assert_allclose(fit.random_effects()["variance"], own["variances"], rtol=1e-5)
+    assert_allclose(coefficients["estimate"], own["estimate"], rtol=1e-8)
+    assert_allclose(coefficients["se"], own["se"], rtol=1e-6)
+    assert_allclose(fit.random_effects()["variance"], own["variances"], rtol=1e-5)
 
 
-@pytest.mark.parametrize("kind", [object, "category", "str", "string"])
+@parametrize("kind", [object, "category", "str", "string"])
 def test_a_missing_label_is_not_the_reference_level(kind):
     """72 trials, 11 without the label of their mode."""
     frame = drawn(12, mode="ab", trial="xyz").assign(rating=[0, 1, 2, 1] * 18)
@@ -224,7 +226,7 @@ def test_a_missing_label_is_not_the_reference_level(kind):
         tl.ordinal_model(frame, "rating", "mode", "person")
 
 
-@pytest.mark.parametrize("formula", ["y ~ a * b", "y ~ I(a**2)", "I(a * b) ~ y", "y ~ C(a)"])
+@parametrize("formula", ["y ~ a * b", "y ~ I(a**2)", "I(a * b) ~ y", "y ~ C(a)"])
 def test_numbers_of_any_type_are_numbers(formula):
     """Products of small integers overflowed, and numbers in a column of objects were labels."""
     a, b = np.random.default_rng(0).integers(40, 60, (2, 36))
@@ -232,11 +234,11 @@ def test_numbers_of_any_type_are_numbers(formula):
     found = tl.formula_model(formula, frame.astype({"a": float}), "person")
     for kind in ("int64", "uint8", "Int8", object):
         same = tl.formula_model(formula, frame.astype({"a": kind, "b": kind}), "person")
-        pd.testing.assert_frame_equal(same.table(), found.table())
-        pd.testing.assert_frame_equal(same.coefficients_table(), found.coefficients_table())
+        assert_frame_equal(same.table(), found.table())
+        assert_frame_equal(same.coefficients_table(), found.coefficients_table())
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("formula", "columns", "message"),
     [
         ("score ~ mode", {"mode": pd.Timestamp("2026-01-01")}, "^formula 'score ~ mode': "),
@@ -259,7 +261,7 @@ def test_a_column_twice_is_named():
         tl.formula_model("score ~ mode", pd.concat([frame, frame["mode"]], axis=1), "person")
 
 
-@pytest.mark.parametrize("formula", [" ~ mode", "score", "a ~ b ~ c"])
+@parametrize("formula", [" ~ mode", "score", "a ~ b ~ c"])
 def test_a_formula_has_a_score_and_terms(formula):
     with refused("formula must be “score ~ terms”"):
         tl.formula_model(formula, drawn(), "person")
@@ -277,14 +279,14 @@ def test_a_category_without_rows_is_no_level_and_durations_are_left_alone():
     frame["took"] = pd.to_timedelta(frame.index, unit="s")
     plain = frame.drop(columns="took").astype({"mode": str})
     tables = [tl.formula_model("score ~ mode", f, "person").table() for f in (frame, plain)]
-    pd.testing.assert_frame_equal(*tables)
+    assert_frame_equal(*tables)
 
 
 def test_people_who_differ_too_much_are_refused():
     """F was 2e-11, as if people did not differ at all; that of repeated_measures was 20."""
     frame = drawn(people=1e4)
     anova, found = (test(frame, **COLUMNS).F for test in (tl.repeated_measures, tl.mixed_model))
-    assert found == pytest.approx(anova)
+    assert found == approx(anova)
     with refused("differ between subjects 100,000 times"):
         tl.mixed_model(drawn(people=1e7), **COLUMNS)
 

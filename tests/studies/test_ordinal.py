@@ -10,11 +10,12 @@ import itertools
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from scipy import integrate, optimize, special, stats
 
 import trustlab as tl
 from tests.cases import refused
-from tests.studies.scores import drawn, reference
+from tests.studies.scores import approx, drawn, parametrize, reference
 from trustlab.studies.ordinal import Cumulative
 
 R = reference("ordinal_model")
@@ -33,11 +34,11 @@ def test_agrees_with_clmm(wine):
     expected, table = R["interaction"], wine.coefficients_table()
     for name, thresholds in (("estimate", "thresholds"), ("se", "thresholds_se")):
         theirs = expected[name] + expected[thresholds]
-        np.testing.assert_allclose(table[name], theirs, atol=1e-5)
+        assert_allclose(table[name], theirs, atol=1e-5)
     variance = wine.random_effects()["variance"].item()
-    assert variance == pytest.approx(expected["covariance"][0][0], abs=1e-5)
-    assert wine.log_likelihood == pytest.approx(expected["log_likelihood"], abs=1e-8)
-    assert wine.table()["chi2"].to_numpy() == pytest.approx([*R["tests"].values()], abs=1e-5)
+    assert variance == approx(expected["covariance"][0][0], abs=1e-5)
+    assert wine.log_likelihood == approx(expected["log_likelihood"], abs=1e-8)
+    assert wine.table()["chi2"].to_numpy() == approx([*R["tests"].values()], abs=1e-5)
 
 
 def test_a_covariate_agrees_with_clmm2():
@@ -45,7 +46,7 @@ def test_a_covariate_agrees_with_clmm2():
     frame = pd.DataFrame(R["verbal"]).rename(columns={"answer": "rating"})
     frame["answer"] = (frame["mode"] == frame["mode"].max()) * 1.0
     model = tl.ordinal_model(frame, "rating", "situ", "id", covariates=["answer"])
-    assert model.log_likelihood == pytest.approx(R["proportional"]["location"], abs=1e-4)
+    assert model.log_likelihood == approx(R["proportional"]["location"], abs=1e-4)
 
 
 def outcomes(name):
@@ -65,7 +66,7 @@ def outcomes(name):
     return long, call | {"points": own["points"]}, np.log(special.binom(size, y)).sum()
 
 
-@pytest.mark.parametrize("name", BINARY)
+@parametrize("name", BINARY)
 def test_two_categories_agree_with_lme4(name):
     own = BINARY[name]
     frame, call, constant = outcomes(name)
@@ -77,20 +78,20 @@ def test_two_categories_agree_with_lme4(name):
             chi2 = 2.0 * (model.log_likelihood - less.log_likelihood)
         else:
             chi2, *others = table.loc[test["term"], ["chi2", "df", "p_chi2"]]
-            assert others == pytest.approx([test["df"], test["p"]], rel=1e-7)
-        assert chi2 == pytest.approx(test["chi2"], abs=1e-7)
+            assert others == approx([test["df"], test["p"]], rel=1e-7)
+        assert chi2 == approx(test["chi2"], abs=1e-7)
     found = model.coefficients_table()
     found.index = found["name"].str.replace(r"\[T\.|\]|`", "", regex=True)
     found.loc["(Intercept)"] = found.loc["0 | 1"] * [1, -1, *[1] * 5]
     found = found.loc[[name.removeprefix("btype") for name in own["names"]]]
-    np.testing.assert_allclose(found["estimate"], own["estimate"], rtol=0.0, atol=5e-6)
-    np.testing.assert_allclose(found["se"], own["se"], rtol=1e-5)
+    assert_allclose(found["estimate"], own["estimate"], rtol=0.0, atol=5e-6)
+    assert_allclose(found["se"], own["se"], rtol=1e-5)
     variance = model.random_effects()["variance"].item()
-    assert variance == pytest.approx(own["variance"], rel=1e-4)
+    assert variance == approx(own["variance"], rel=1e-4)
     # With several nodes lme4 gives the likelihood relative to the saturated model's.
     omitted = -41.978353768934 if "nine points" in name else 0.0
     likelihood = own["log_likelihood"] + omitted
-    assert model.log_likelihood + constant == pytest.approx(likelihood, abs=2e-8)
+    assert model.log_likelihood + constant == approx(likelihood, abs=2e-8)
 
 
 def test_likelihood_is_the_integral():
@@ -108,11 +109,11 @@ def test_likelihood_is_the_integral():
     exact = integrate.quad(integrand, -9.0, 9.0, points=[-1.0, 0.0], epsabs=0, epsrel=1e-12)[0]
     model = Cumulative(category, np.zeros(59, dtype=int), 40)
     found = model.log_likelihood(np.array([1.0, *ends[1:3], sd]), shift[:, None])
-    assert found == pytest.approx(np.log(exact) - 45.0, abs=1e-9)
+    assert found == approx(np.log(exact) - 45.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("sd", [0.0, 1.0, 30.0, -1000.0])
-@pytest.mark.parametrize("cut", [0.0, 40.0, -4000.0, 1e6])
+@parametrize("sd", [0.0, 1.0, 30.0, -1000.0])
+@parametrize("cut", [0.0, 40.0, -4000.0, 1e6])
 def test_likelihood_far_from_its_maximum_is_that_about_the_greatest_integrand(sd, cut):
     """A search goes there on its way. Oracle: Laplace's approximation about a root by bisection."""
     model = Cumulative(np.array([0, 1, 1, 1]), np.zeros(4, dtype=int), 1)
@@ -125,7 +126,7 @@ def test_likelihood_far_from_its_maximum_is_that_about_the_greatest_integrand(sd
     logs = special.log_expit(cut - sd * v) + 3.0 * special.log_expit(sd * v - cut) - 0.5 * v**2
     bend = 1.0 + 4.0 * sd**2 * special.expit(cut - sd * v) * special.expit(sd * v - cut)
     found = model.log_likelihood(np.array([0.0, cut, sd]), np.zeros((4, 1)))
-    assert found == pytest.approx(logs - 0.5 * np.log(bend), rel=1e-9)
+    assert found == approx(logs - 0.5 * np.log(bend), rel=1e-9)
 
 
 def test_errors_where_people_do_not_vary_are_those_of_a_model_without_people():
@@ -139,7 +140,7 @@ def test_errors_where_people_do_not_vary_are_those_of_a_model_without_people():
     slopes = np.array([[[effect, 1.0, 0.0], [effect, 0.0, 1.0]] for effect in (0.0, -1.0)])
     information = 18.0 * (slopes.mT @ of_answer @ slopes).sum(axis=0)
     expected = np.sqrt(np.diag(np.linalg.inv(information)))
-    np.testing.assert_allclose(model.coefficients_table()["se"], expected, rtol=1e-4)
+    assert_allclose(model.coefficients_table()["se"], expected, rtol=1e-4)
 
 
 def test_answers_drawn_from_the_model_are_as_it_says(wine):
@@ -151,15 +152,13 @@ def test_answers_drawn_from_the_model_are_as_it_says(wine):
     effects, cuts = np.split(wine.coefficients_table()["estimate"].to_numpy(), [3])
     people = wine.random_effects()["sd"].item() * rng.standard_normal(draws)
     rating = np.searchsorted(cuts, effects.sum() + people + rng.logistic(size=draws))
-    np.testing.assert_allclose(
-        np.bincount(rating) / draws, cells.tail(5)["probability"], atol=0.004
-    )
+    assert_allclose(np.bincount(rating) / draws, cells.tail(5)["probability"], atol=0.004)
     pair = wine.pairs().set_index(["a", "b"]).loc[("cold × no", "warm × yes")]
-    assert pair["odds_ratio"] == pytest.approx(np.exp(-effects.sum()))
+    assert pair["odds_ratio"] == approx(np.exp(-effects.sum()))
     a = np.searchsorted(cuts, rng.logistic(size=draws))
     b = np.searchsorted(cuts, rng.logistic(size=draws) + effects.sum())
     share = (a > b).mean() + 0.5 * (a == b).mean()
-    assert pair["superiority"] == pytest.approx(share, abs=0.004)
+    assert pair["superiority"] == approx(share, abs=0.004)
 
 
 TRUST = {"dv": "trust", "within": "mode", "subject": "person"}
@@ -185,7 +184,7 @@ def test_groups_and_sentences():
     assert binary.table()["term"].tolist() == ["group"]
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("rating", "message"),
     [
         ([1.0, np.inf] * 36, "dv: column 'rating' holds inf in row 1"),
@@ -199,7 +198,7 @@ def test_ratings_that_cannot_be_fitted_are_refused(rating, message):
         tl.ordinal_model(WINE.assign(rating=rating), "rating", "temp", "judge")
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("factors", "message"),
     [
         ({"within": "group"}, "within: column 'group' has one label for every person"),
@@ -222,7 +221,7 @@ def answered(rng, n, per_condition, sd, shift):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("case", POWER["cases"], ids=str)
+@parametrize("case", POWER["cases"], ids=str)
 def test_power_is_the_share_of_rejections_in_r(case):
     """
     Two binomial counts of one probability, within four standard errors. A study whose likelihood

