@@ -102,12 +102,11 @@ def test_draws_have_the_distribution_and_all_are_models():
 # --- studies --------------------------------------------------------------------------------------
 
 
-@parametrize("name", ["kept", "following", "tracking"])
+@parametrize("name", ["kept", "tracking"])
 def test_measures_are_those_of_the_runs_one_by_one(name, request):
     study = request.getfixturevalue(name)
     seed, people = study.settings["seed"], len(study.participants)
-    assumed = study.settings.get("assumptions")
-    person = study.testbed.people(people, assumed, seed).iloc[3].to_dict()
+    person = study.testbed.people(people, seed=seed).iloc[3].to_dict()
     seeds = np.random.SeedSequence(seed).spawn(people)[3].spawn(len(study.conditions))
     rows = study.measures.query("participant == 4").set_index("condition")
     for condition, stream in zip(sorted(study.conditions), seeds, strict=True):
