@@ -145,26 +145,17 @@ def test_plot():
     assert_allclose(ends, result.descriptives()[["ci_low", "ci_high"]])
 
 
-def test_the_label_survives_tables_put_together():
-    """No mark is NaN."""
-    for marks, said in (
-        ([True], "synthetic data"),
-        ([True, np.nan], "partly synthetic data"),
-        ([False], ""),
-    ):
-        assert analysed(drawn().assign(synthetic=np.resize(marks, 36))).origin == said
-
-
 @parametrize(
-    ("attrs", "said"),
+    ("marks", "attrs", "said"),
     [
-        ({"synthetic": True}, "synthetic data"),
-        ({"reconstructed": True}, "reconstructed data"),
-        ({"origin": "a simulation"}, "a simulation"),
+        ([True], {}, "synthetic data"),
+        ([True, np.nan], {}, "partly synthetic data"),  # tables put together; no mark is NaN
+        ([False], {"reconstructed": True}, "reconstructed data"),
+        ([False], {"origin": "a simulation"}, "a simulation"),
     ],
 )
-def test_data_that_were_not_measured_say_so_everywhere(attrs, said):
-    frame = drawn()
+def test_data_that_were_not_measured_say_so_everywhere(marks, attrs, said):
+    frame = drawn().assign(synthetic=np.resize(marks, 36))
     frame.attrs.update(attrs)
     result = analysed(frame)
     assert result.table()["origin"].tolist() == [said]
@@ -172,13 +163,14 @@ def test_data_that_were_not_measured_say_so_everywhere(attrs, said):
         assert view.attrs["origin"] == said
     for text in (result._repr_html_(), result.apa(), repr(result), result.plot().get_title()):
         assert said in text
+    assert said not in analysed(drawn().assign(synthetic=False)).apa()
 
 
 def test_scores_and_reliability_say_that_data_were_not_measured():
-    items = pd.DataFrame(np.random.default_rng(0).integers(1, 8, (8, 2)), columns=["1", "2"])
+    items = pd.DataFrame({"a": [1, 2, 5], "b": [2, 2, 4]})
     items.attrs["origin"] = "synthetic data"
     assert tl.cronbach_alpha(items).origin == "synthetic data"
-    scores = tl.score(items.assign(subject=range(8)), tl.satisfaction_scale(7, ["1", "2"]))
+    scores = tl.score(items.assign(subject=range(3)), tl.satisfaction_scale(7, ["a", "b"]))
     assert scores.reliability().attrs["origin"] == "synthetic data"
 
 
