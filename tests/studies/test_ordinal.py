@@ -188,32 +188,22 @@ def test_groups_and_sentences():
 
 
 @parametrize(
-    ("rating", "message"),
+    ("trust", "factors", "message"),
     [
-        ([1.0, np.inf] * 36, "dv: column 'rating' holds inf in row 1"),
-        ("high", "neither numbers nor an ordered categorical"),
-        (1, "has 1 different ratings, not 2 to 30"),
-        (range(72), r"72 different ratings.*formula_model"),
+        ([1.0, np.inf] * 120, {}, "dv: column 'trust' holds inf in row 5"),
+        ("high", {}, "neither numbers nor an ordered categorical"),
+        (1, {}, "has 1 different ratings, not 2 to 30"),
+        (range(240), {}, r"235 different ratings.*formula_model"),
+        (1, {"within": "group"}, "within: column 'group' has one label for every person"),
+        (1, {"within": []}, "within and between name no factor"),
+        # The subject was taken for one, beside its random intercept.
+        ([1, 2] * 120, {"covariates": ["person"]}, "columns must be different for every argument"),
+        ([1, 2] * 120, {"covariates": "word"}, "covariates: column 'word' holds 'y' in row 5"),
     ],
 )
-def test_ratings_that_cannot_be_fitted_are_refused(rating, message):
+def test_what_cannot_be_fitted_is_refused(trust, factors, message):
     with refused(message):
-        tl.ordinal_model(WINE.assign(rating=rating), "rating", "temp", "judge")
-
-
-@parametrize(
-    ("factors", "message"),
-    [
-        ({"within": "group"}, "within: column 'group' has one label for every person"),
-        ({"within": []}, "within and between name no factor"),
-        ({"covariates": ["person"]}, "columns must be different for every argument"),
-        ({"covariates": "word"}, "covariates: column 'word' holds 'y' in row 5"),
-    ],
-)
-def test_factors_and_covariates_that_cannot_be_fitted_are_refused(factors, message):
-    """The subject was taken for a covariate, beside its random intercept."""
-    with refused(message):
-        tl.ordinal_model(ratings().assign(word="y")[5:], **TRUST | factors)
+        tl.ordinal_model(ratings().assign(trust=trust, word="y")[5:], **TRUST | factors)
 
 
 def answered(rng, n, per_condition, sd, shift):
