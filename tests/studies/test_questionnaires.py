@@ -148,11 +148,12 @@ TWENTY = replace(NASA_TLX, low=1, high=20, step=1)
         (
             TRUST_CHECKLIST,
             dict(zip(TRUST_CHECKLIST.items, [1, 2, 3, 4, 5, 7, 6, 5, 4, 3, 2, 1], strict=True)),
+            # Distrust is 1 to 5, and counts as 7 to 3; trust is 7 to 1.
             {
-                "trust_sum": (7 + 6 + 5 + 4 + 3) + (7 + 6 + 5 + 4 + 3 + 2 + 1),
+                "trust_sum": 25 + 28,
                 "trust_mean": 53 / 12,
-                "trust_subscale": 28 / 7,
-                "distrust_subscale": 15 / 5,
+                "trust_subscale": 4.0,
+                "distrust_subscale": 3.0,
             },
         ),
         (satisfaction_scale(), SMALL, {"satisfaction_mean": 4.0, "satisfaction_sum": 12}),
