@@ -17,7 +17,7 @@ from pandas.testing import assert_frame_equal
 
 import trustlab as tl
 from tests.cases import refused
-from tests.studies.scores import parametrize, reference
+from tests.studies.scores import approx, parametrize, reference
 from trustlab.studies.designs import design_balance, latin_square_design, williams_square
 
 # --- designs --------------------------------------------------------------------------------------
@@ -132,6 +132,17 @@ def test_columns_named_twice_or_without_a_label_are_refused():
         tl.order_effects(frame, "score", "position", "position")
     with refused("^condition: column 'condition' has nothing"):
         run(frame.assign(condition=frame["condition"].where(frame.index != 2)))
+
+
+def test_sequences_are_compared_by_the_means_of_subjects():
+    """Oracle: the squares by hand, of four scores each."""
+    frame = williams()
+    people = frame.sort_values("position").groupby("subject")
+    people = people.agg({"condition": "sum", "score": "mean"})
+    means = people.groupby("condition")["score"].transform("mean")
+    row = effects_of(frame).loc["sequence"]
+    assert row["ss"] == approx(4 * ((means - means.mean()) ** 2).sum())
+    assert (row["df1"], row["df2"], row["note"]) == (3, 4, "")
 
 
 def test_ranks_of_each_person_leave_nothing_to_compare_sequences_by():
