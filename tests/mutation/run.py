@@ -84,10 +84,10 @@ NOTICED_BY = {
     "testbeds/test_uav_tracking.py": "teleoperation/loop/* teleoperation/ports/device",
     "studies/test_against_r.py": "studies/mixed studies/repeated_measures",
     "studies/test_designs.py": "studies/order_effects",
-    "studies/test_factorial.py": "studies/anova",
+    "studies/test_factorial.py": "studies/anova studies/words",
     "studies/test_pairs.py": "studies/anova",
     "studies/test_power.py": "studies/population",
-    "studies/test_repeated_measures.py": "studies/table",
+    "studies/test_repeated_measures.py": "studies/table studies/words",
     "reproduction/test_printed.py": "models/published reproduction/comparison "
     "reproduction/published reproduction/published_study",
     "reproduction/audit/test_audit.py": "reproduction/audit/*",

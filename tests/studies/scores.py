@@ -5,9 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 
 import trustlab as tl
 
+approx, parametrize = pytest.approx, pytest.mark.parametrize
 COLUMNS = {"dv": "score", "within": "mode", "subject": "person"}
 
 

@@ -6,16 +6,12 @@ squares.
 
 import numpy as np
 import pandas as pd
-import pytest
 from scipy import stats
 
 import trustlab as tl
 from tests.cases import refused
-from trustlab.studies.anova import (
-    Design,
-    effects,
-    mauchly_p_value,
-)
+from tests.studies.scores import parametrize
+from trustlab.studies.anova import Design, effects, mauchly_p_value
 
 OMNIBUS = ["F", "p", "p_gg", "p_hf", "epsilon_gg", "epsilon_hf", "epsilon_hf_untruncated"]
 OMNIBUS += ["eta2_partial", "eta2_generalized", "mauchly_w", "mauchly_chi2", "mauchly_p"]
@@ -31,7 +27,7 @@ def analysed(array):
     return tl.repeated_measures_batch(array).droplevel("effect")
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("n", "k", "defined"),
     [(9, 2, False), (3, 3, True), (3, 4, False), (5, 5, True), (5, 6, False)],
 )
@@ -42,27 +38,20 @@ def test_mauchly_needs_n_above_k_less_one(n, k, defined):
 
 
 def test_mauchly_is_refused_where_a_condition_is_the_mean_of_two_others():
+    """Where it is so nearly, the test is defined."""
     array = draw(300, 12, 4)
-    array[::2, :, 3] = 0.5 * (
-        array[::2, :, 0] + array[::2, :, 1]
-    )  # eigenvalues of ± 1e-17: both signs occur
+    # Eigenvalues of ± 1e-17: both signs occur.
+    array[::2, :, 3] = array[::2, :, :2].mean(axis=2)
+    array[1, :, 3] = array[1, :, :2].mean(axis=1) + 1e-5 * array[1, :, 2]
     batch = analysed(array)
     assert np.isnan(batch.mauchly_w).tolist() == [True, False] * 150
+    assert 0.0 < batch.mauchly_w[1] < 1e-9
     assert np.isfinite(batch.p_gg).all()
-
-
-def test_nearly_singular_is_not_singular():
-    array = draw(1, 12, 4)
-    array[0, :, 3] = 0.5 * (array[0, :, 0] + array[0, :, 1]) + 1e-5 * array[0, :, 2]
-    assert 0.0 < analysed(array).mauchly_w[0] < 1e-9
 
 
 def test_false_positives_at_the_level():
     """Theorem: under sphericity and no effect, p is uniform; so is Mauchly's, nearly."""
-    rng = np.random.default_rng(7)
-    batch = analysed(
-        rng.standard_normal((20_000, 20, 4)) + 2.0 * rng.standard_normal((20_000, 20, 1))
-    )
+    batch = analysed(np.random.default_rng(7).standard_normal((20_000, 20, 4)))
     for name in ("p", "mauchly_p"):
         assert stats.kstest(batch[name], "uniform").pvalue > 0.01, name
 
@@ -74,7 +63,7 @@ def test_a_study_without_error_is_named():
         analysed(array)
 
 
-def test_units_and_offsets_cost_no_digits_and_those_beyond_double_precision_are_refused():
+def test_units_cost_no_digits_and_those_beyond_double_precision_are_refused():
     array = draw(1, 5, 4)
     for unit in (1e160, 1e-170):
         with refused("no number holds it"), np.errstate(over="ignore"):
@@ -82,8 +71,6 @@ def test_units_and_offsets_cost_no_digits_and_those_beyond_double_precision_are_
     usual = analysed(array)
     for unit in (1e-95, 1e-20, 1e130):
         pd.testing.assert_frame_equal(analysed(array * unit)[OMNIBUS], usual[OMNIBUS], rtol=1e-9)
-    near, far = analysed(np.round(array, 3)), analysed(np.round(array, 3) + 1e9)
-    np.testing.assert_allclose(far[["F", "mauchly_p"]], near[["F", "mauchly_p"]], rtol=1e-4)
 
 
 def test_a_factor_with_a_cross_in_its_name_keeps_its_place():
@@ -98,9 +85,4 @@ def test_a_factor_with_a_cross_in_its_name_keeps_its_place():
 
 def test_a_p_value_is_at_most_1():
     """The expansion exceeds 1 where subjects are as few as conditions, ten of either here."""
-    n, k, chi2 = 10, 10, 26.8
-    factor = 9.0 - (2.0 * 81.0 + 9.0 + 2.0) / 54.0
-    w2 = 11.0 * 8.0 * 7.0 * (1458.0 + 486.0 + 30.0 + 2.0) / (288.0 * (9.0 * factor) ** 2)
-    first, second = stats.chi2.sf(chi2, [44, 48])
-    assert first + w2 * (second - first) > 1.0
-    assert mauchly_p_value(chi2, n, k) == 1.0
+    assert mauchly_p_value(26.8, n=10, k=10) == 1.0

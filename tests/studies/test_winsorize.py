@@ -3,11 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
-import pytest
 from hypothesis import given, settings, strategies as st
 
 from tests.cases import refused
+from tests.studies.scores import COLUMNS, approx, drawn, long, parametrize
 from trustlab.studies.winsorize import winsorize
 
 PLAIN = np.array([1.0, 2, 3, 4, 5, 6, 7, 8, 9, 100])
@@ -16,16 +15,13 @@ SD = tuple(PLAIN.mean() + np.array([-2, 2]) * PLAIN.std(ddof=1))
 
 def of_values(x, **rule):
     """Winsorize one condition's scores, beside another that is left alone."""
-    x = np.asarray(x)
-    cells = {"pid": np.arange(x.size), "error": x}
-    other = pd.DataFrame(cells).assign(scheme="B", error=np.arange(x.size))
-    frame = pd.concat([pd.DataFrame(cells).assign(scheme="A"), other]).assign(synthetic=True)
-    both = winsorize(frame, "error", "scheme", "pid", **rule)
-    parts = {name: getattr(both, name).query("condition == 'A'") for name in ("changes", "limits")}
+    frame = long(np.column_stack([x, np.arange(len(x))])).assign(synthetic=True)
+    both = winsorize(frame, **COLUMNS, **rule)
+    parts = {name: getattr(both, name).query("condition == 'a'") for name in ("changes", "limits")}
     return replace(both, **parts)
 
 
-@pytest.mark.parametrize(
+@parametrize(
     ("rule", "limits", "changed"),
     [
         # Quartiles 3.25 and 7.75 by linear interpolation, R's type 7.
@@ -38,12 +34,10 @@ def of_values(x, **rule):
 def test_rules_by_hand(rule, limits, changed):
     found = of_values(PLAIN, **rule)
     expected = [*limits, len(changed)]
-    assert found.limits.loc[0, ["low", "high", "changed"]].tolist() == pytest.approx(expected)
-    assert dict(found.changes[["subject", "new"]].to_numpy()) == pytest.approx(changed)
-    assert "1 of 10 values was winsorized (A, subject" in found.apa()
-    assert found.apa().startswith("[synthetic data] 1 of")
-    none = of_values([1, 2, 3], outside="iqr", k=1.5, to="next")
-    assert "None of 3 values" in none.apa()
+    assert found.limits.loc[0, ["low", "high", "changed"]].tolist() == approx(expected)
+    assert dict(found.changes[["subject", "new"]].to_numpy()) == approx(changed)
+    assert found.apa().startswith("[synthetic data] 1 of 10 values was winsorized (a, subject")
+    assert "None of 3 values" in of_values([1, 2, 3], **rule).apa()
 
 
 @given(
@@ -51,26 +45,23 @@ def test_rules_by_hand(rule, limits, changed):
     st.sampled_from(["sd", "mad", "iqr"]),
     st.sampled_from(["limit", "next"]),
 )
-@settings(max_examples=150)
+@settings(max_examples=50)
 def test_order_is_kept_inner_values_are_not_touched(values, outside, to):
     x = np.array(values, dtype=float)
     found = of_values(x, outside=outside, k=1.5, to=to)
     low, high = found.limits.loc[0, ["low", "high"]]
-    new = found.data.loc[found.data["scheme"] == "A", "error"].to_numpy()
+    new = found.data["score"].to_numpy()[::2]
     assert (np.diff(new[np.argsort(x)]) >= 0).all()
-    inside = (x >= low) & (x <= high)
-    assert (new[inside] == x[inside]).all()
     assert ((new >= low) & (new <= high)).all()
-    changed = np.column_stack([np.flatnonzero(~inside), x[~inside], new[~inside]])
+    outside = new != x
+    assert outside.tolist() == ((x < low) | (x > high)).tolist()
+    changed = np.column_stack([np.flatnonzero(outside), x[outside], new[outside]])
     np.testing.assert_array_equal(found.changes[["subject", "old", "new"]], changed)
 
 
 def test_two_rows_of_a_cell_and_two_roles_of_a_column_are_refused():
     """They counted twice, and moved the limits."""
-    frame = pd.DataFrame({"pid": [1, 2, 3, 3], "scheme": "A", "error": [1.0, 2.0, 3.0, 3.0]})
-    for dv, message in (
-        ("error", "more than one row for a cell, such as row 3; average"),
-        ("pid", "columns must be different for every argument"),
-    ):
+    frame = drawn().assign(mode="a")
+    for dv, message in (("score", "more than one row for a cell"), ("person", "must be different")):
         with refused(message):
-            winsorize(frame, dv, "scheme", "pid", outside="sd", k=2.0, to="limit")
+            winsorize(frame, **COLUMNS | {"dv": dv}, outside="sd", k=2.0, to="limit")
