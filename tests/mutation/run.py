@@ -60,6 +60,7 @@ NOTICED_BY = {
     "allocation/test_thresholds.py": "allocation/estimates",
     "allocation/test_posterior_choice.py": "allocation/thresholds",
     "trust/test_models.py": "trust/fitting",
+    "trust/test_people.py": "trust/panel",
     "trust/test_models.py -k 'beta or not (ends or intervals or below or return)'": (
         "trust/dynamics/* trust/interface trust/likelihood trust/panel"
     ),

@@ -116,7 +116,7 @@ def test_what_is_no_number_is_refused_by_field(printed, message):
 
 
 def test_conditions_are_names():
-    with refused("conditions must be a list of names"):
+    with refused("a name of conditions must be a text, got 3"):
         study_of("n = 20, mean.A = 5.0", conditions=("A", 3))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.io import loadmat
 
 import trustlab as tl
 from tests.cases import panel as few_people, refused
@@ -68,6 +69,8 @@ def test_other_sets():
     assert np.isfinite(capabilities.ratings[:, 1:]).sum() == 852
     assert np.isfinite(capabilities.events.dt).sum(axis=0).tolist() == [852, 568, 284]
     assert_allclose(np.unique(capabilities.ratings[:, 1:])[:7], np.arange(7) / 6)
+    pairs = loadmat(file_of("btm"))["obs_task_perf_seq"]
+    assert np.nansum(capabilities.events.p_r) == pairs[..., 1].sum()  # successes
     assert np.isfinite(log_likelihood(tl.trust.MODELS["performance"](), capabilities)).all()
 
 
