@@ -73,6 +73,8 @@ def test_the_step_of_tsc_is_that_of_the_steady_cycle():
     assert steady_state_bounds(SECOND, 0.0, 0.35, delta_tsc=2.0).delta_tsc == 2.0
     with refused("delta_tsc"):
         steady_state_bounds(SECOND, 0.0, 0.35, delta_tsc=2.1)
+    with refused("r_low must lie"):
+        step_bounds(SECOND, -0.1, 0.9)
 
 
 @pytest.mark.parametrize(

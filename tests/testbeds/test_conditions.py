@@ -206,6 +206,11 @@ FOLLOWERS = [
 ]
 
 
+def test_ranges_of_performance_are_of_the_size_of_the_printed_means():
+    table = OperatorPopulation.uav_following().draw(200, seed=0)[["p_h_max", "p_r_max"]]
+    assert_allclose(table.agg(["mean", "std"]), [[0.86, 0.62], [0.04, 0.05]], atol=0.01)
+
+
 def flown(operator, model, mode, seed):
     """A flight in one mode after the first 100 s by hand: own thresholds that no TSC meets."""
     lower = 8.0 if mode else -9.0

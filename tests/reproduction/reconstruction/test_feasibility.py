@@ -163,7 +163,10 @@ def test_a_paper_that_always_corrects_is_read_as_such(monkeypatch):
     cells = "mean.A = 1.37, mean.B = 1.01, mean.C = 1.56, sd.A = 1.47, sd.B = 1.91, sd.C = 1.34"
     anova = "anova.F = 0.63, anova.df1 = 1.60, anova.df2 = 17.64, anova.p = .509"
     printed = study_of(f"n = 12, {cells}, {anova}")
-    assert feasibility(printed).feasible
+    answer = feasibility(printed)
+    assert answer.feasible
+    assert "Read as" in answer.message
+    assert "Read as" not in feasibility(study_of(f"n = 12, {cells}")).message
     violated = feasibility(replace(printed, not_spherical=True))
     assert violated.feasible is None
     assert not violated
