@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import trustlab as tl
-from tests.cases import refused
+from tests.cases import driver, refused
 from trustlab import run_condition
 from trustlab.allocation.rules import performance_suggestion
 from trustlab.models.tsc import threshold_mode
@@ -68,6 +68,12 @@ def test_log_suggestions_and_measures_agree_with_models_and_rules(bed, condition
         assert measures["laps"] == laps.size == 8
         assert measures["duration"] == pytest.approx(run.lap_times[-1])
         assert measures["lap_time"] == pytest.approx(laps.mean())
+
+
+@pytest.mark.parametrize("load", [{"load_utilization": 0.5}, {"load_switching": 0.1}, {}])
+def test_who_feels_a_load_answers(load):
+    run = run_condition("C1", replace(driver(), **load), tl.published_models()["2"], laps=2)
+    assert ("tlx" in run.measures) == bool(load)
 
 
 @each_condition
