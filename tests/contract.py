@@ -387,6 +387,7 @@ def fault_of_answer(call, argument, value, new_nan):
         or (isinstance(value, float) and math.isnan(value) and number and not free)
         or (kind == "bool" and not isinstance(value, bool | np.bool_))
         or (kind.endswith("Callable") and not callable(value))
+        or (argument == "seed" and value is None)  # other numbers at every call
         or stated_out_of_range(call, argument, value)
     )
     return "is taken" if never else "gives NaN" if new_nan else None

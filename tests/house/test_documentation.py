@@ -48,7 +48,8 @@ SCRIPTS = [path for path in DOCUMENTS if python(path)]
 @pytest.mark.parametrize("path", SCRIPTS, ids=name_of)
 def test_code_runs(path, tmp_path, monkeypatch, capsys):
     write_files(path, tmp_path)
-    (tmp_path / "data").symlink_to(ROOT / "data")
+    if path.name != "README.md":  # its lines run anywhere
+        (tmp_path / "data").symlink_to(ROOT / "data")
     monkeypatch.chdir(tmp_path)
     with mpl.rc_context({"backend": "Agg"}):
         exec(compile(python(path), name_of(path), "exec"), {"__name__": "__main__"})

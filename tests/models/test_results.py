@@ -29,6 +29,7 @@ from trustlab.models.checks import (
     positive,
     spawned,
     whole_number,
+    whole_seed,
 )
 from trustlab.models.display import Result, as_html, axes_or_new
 from trustlab.models.trust import TrustModel
@@ -108,6 +109,12 @@ def test_children_of_a_seed_are_numpys_and_the_same_at_every_call(seed):
     for _ in range(2):
         for child, expected in zip(spawned(seed, 3), fresh, strict=True):
             assert (child.generate_state(4) == expected.generate_state(4)).all()
+
+
+def test_without_a_seed_one_is_proposed():
+    """None was taken, and gave other numbers at every call."""
+    with refused(r"got None; pass seed=0$"):
+        whole_seed(None)
 
 
 def test_warnings_point_at_the_users_line():

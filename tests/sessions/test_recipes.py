@@ -247,6 +247,11 @@ DRAFTS = [
         (name, "".join(mark.join(line.split()) + "\n" for line in SPACES.splitlines()), OF_SPACES)
         for name, mark in (("run.csv.gz", ","), ("run.tsv", "\t"), ("run.csv", "|"))
     ),
+    (
+        "run.csv",
+        "t,mode,robot perf (%),op_perf_pct\n0,1,31,50\n0.1,0,33,52\n",
+        {"p_r": [0.31, 0.33], "p_h": [0.5, 0.52]},
+    ),
     # Ten values got one with "?", and the eleventh had none. Excel's first line is skipped.
     ("run.csv", f"sep=;\nt;mode\n{SHARES}", {"mode": np.arange(50) / 50}),
     ("run.csv", f"sep=;\nt;autonomy\n{SHARES}", {"mode": 1 - np.arange(50) / 50}),
