@@ -14,6 +14,7 @@ from pandas.testing import assert_frame_equal
 
 import trustlab as tl
 from tests.allocation.cases import OPERATORS, PILOT, SECOND, encloses_beta, made, settled, warned
+from tests.cases import refused
 from tests.identification.posterior.simulated_logs import drawn_case, model_of, printed_case
 from trustlab.allocation import thresholds
 from trustlab.allocation.steady import SCREEN, survey
@@ -75,6 +76,12 @@ def test_a_probability_is_that_of_the_motion_itself(clear, name, margin):
     assert encloses_beta(settled(tsc, choice.lower, choice.upper, r0=0.6), tsc)
     assert choice.probability == 1.0
     assert choose_thresholds(tsc, margin=margin, points=14).probability == 1.0
+
+
+@parametrize(("name", "value"), [("points", 0), ("margin", 99.0), ("delta_p_h", -1.0)])
+def test_of_a_posterior_too_arguments_out_of_range_are_refused(clear, name, value):
+    with refused(f"{name} must"):
+        choose_thresholds(clear, **{name: value})
 
 
 def test_a_pair_is_judged_by_its_motion_sample_by_sample():
