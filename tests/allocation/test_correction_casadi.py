@@ -108,6 +108,12 @@ def test_a_state_from_which_a_step_never_returned_is_solved_or_held_in_time():
     assert plan.status in ("planned", "held")
 
 
+def test_the_solver_stops_where_its_time_is_over():
+    ours = engine(60, limit=1e-6)
+    ours.step(*FAR)
+    assert ours.program._solver.stats()["return_status"] == "Maximum_WallTime_Exceeded"
+
+
 class Fails(casadi.Callback):
     """A function of the user's that CasADi can differentiate, but not evaluate."""
 

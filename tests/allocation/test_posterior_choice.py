@@ -10,11 +10,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.random import default_rng
+from pandas.testing import assert_frame_equal
 
 import trustlab as tl
 from tests.allocation.cases import OPERATORS, PILOT, SECOND, encloses_beta, made, settled, warned
+from tests.cases import refused
 from tests.identification.posterior.simulated_logs import drawn_case, model_of, printed_case
 from trustlab.allocation import thresholds
+from trustlab.allocation.steady import SCREEN, survey
 from trustlab.allocation.thresholds import choose_thresholds
 
 parametrize = pytest.mark.parametrize
@@ -73,6 +76,21 @@ def test_a_probability_is_that_of_the_motion_itself(clear, name, margin):
     assert encloses_beta(settled(tsc, choice.lower, choice.upper, r0=0.6), tsc)
     assert choice.probability == 1.0
     assert choose_thresholds(tsc, margin=margin, points=14).probability == 1.0
+
+
+@parametrize(("name", "value"), [("points", 0), ("margin", 99.0), ("delta_p_h", -1.0)])
+def test_of_a_posterior_too_arguments_out_of_range_are_refused(clear, name, value):
+    with refused(f"{name} must"):
+        choose_thresholds(clear, **{name: value})
+
+
+def test_a_pair_is_judged_by_its_motion_sample_by_sample():
+    """Screened coarsely utilization comes below β = .75; in truth it stays above .7506."""
+    tsc, pair = OPERATORS["4"], (-0.11, 0.36)
+    screened = survey([tsc], [pair], SCREEN)
+    assert screened["p_encloses"].all()
+    assert not encloses_beta(settled(tsc, *pair, r0=0.6), tsc)
+    assert thresholds._followed([tsc] * 3, screened, 0.95, "p_encloses") == (*pair, 0.0, 0.0)
 
 
 def test_a_clear_log_gets_thresholds_that_do_what_is_said(clear):
@@ -136,7 +154,8 @@ def test_objectives_of_a_model():
     peak, mean, weighted = (choice.cycle for choice in choices)
     assert mean.mean_p_r > peak.mean_p_r
     assert peak.p_r_high > mean.p_r_high
-    assert mean.mean_p_r == weighted.mean_p_r  # one question
+    assert_frame_equal(*(choice.candidates for choice in choices[1:]))  # one question
+    assert mean.mean_p_r == weighted.mean_p_r
     robot, table = SECOND.robot, choices[2].candidates
     points = tl.relative_performance(table["mean_p_r"][:1], robot.p_min, robot.p_max)
     assert table["objective"][0] == pytest.approx(points)

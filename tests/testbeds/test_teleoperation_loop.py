@@ -19,6 +19,7 @@ from trustlab.teleoperation import (
     TeamOperator,
     TeamRobot,
     TeamSettings,
+    TeamTrial,
 )
 
 # --- the loop -------------------------------------------------------------------------------------
@@ -333,3 +334,19 @@ def test_measures_are_those_of_the_log():
     }
     alone = tl.teleoperation_measures(run)
     assert alone.iloc[0][list(expected)].to_dict() == pytest.approx(expected, rel=1e-12)
+
+
+def covers(axes):
+    """Whether a legend lies over the curves of its axes, as drawn."""
+    axes.figure.canvas.draw()
+    return axes.get_legend().get_window_extent().overlaps(axes.get_window_extent())
+
+
+def test_energies_that_agree_are_told_apart_and_no_legend_covers_them():
+    for panel in tl.testbeds.plot_energies(simulate_teleoperation("M", duration=1.0)):
+        assert np.diff([line.get_linewidth() for line in panel.lines[:4]]).max() < 0.0
+        assert not covers(panel)
+    energy = tl.simulate_team(TRIANGLE, duration=300.0, trial=TeamTrial(0.02, 0.1)).plot()[-1]
+    assert not covers(energy)
+    begin, transient, end = energy.transData.transform([(t, 0.0) for t in (0.0, 2.0, 300.0)])[:, 0]
+    assert (transient - begin) / (end - begin) > 0.2
