@@ -9,7 +9,7 @@ import pandas as pd
 
 from trustlab.campaign.parameters import distribution
 from trustlab.campaign.run import CampaignError, run_campaign
-from trustlab.models.checks import open_unit, shown, whole_number
+from trustlab.models.checks import open_unit, shown, whole_number, whole_seed
 from trustlab.models.display import axes_or_new
 
 COLUMNS = ("first_order", "first_low", "first_high", "total", "total_low", "total_high")
@@ -142,7 +142,7 @@ def sobol_indices(
     if n & (n - 1):
         raise ValueError(f"n must be a power of 2, such as {2 ** n.bit_length()}, got {n}")
     level, resamples = open_unit("level", level), whole_number("resamples", resamples, 20, 100_000)
-    seed = whole_number("seed", seed, least=0)
+    seed = whole_seed(seed)
     if not isinstance(ranges, Mapping) or len(ranges) < 2:
         raise ValueError(
             "ranges must be a dict of (low, high) by name of at least two parameters, such as "

@@ -21,7 +21,7 @@ from trustlab.live.tasks.ground_robot import DriveSettings
 from trustlab.live.tasks.team import LeadingSettings
 from trustlab.live.tasks.teleoperation import TeleoperationSettings
 from trustlab.live.trial import Trial, read_record
-from trustlab.models.checks import check_participant, of_class, one_of, whole_number
+from trustlab.models.checks import check_participant, of_class, one_of, whole_number, whole_seed
 from trustlab.models.digest import digest
 from trustlab.models.extras import extra
 from trustlab.models.files import path_of, writing
@@ -251,7 +251,7 @@ class LiveGroundRobot(LiveWidget):
         self.model = of_class("model", model, TscModel)
         pair = given_thresholds(name, thresholds, own)
         pair = (0.0, 0.0) if pair is None else check_thresholds(self.model, pair)
-        seed = whole_number("seed", seed, least=0, most=2**53 - 1)  # JSON keeps no larger one
+        seed = whole_seed(seed, 2**53 - 1)  # JSON keeps no larger one
         content = DriveSettings(laps=whole_number("laps", laps, most=8)).as_json()
         content["own_conditions"] = {own.name: asdict(own)} if own else {}
         known = {"model": asdict(model), "thresholds": pair}
@@ -377,7 +377,7 @@ class LiveTracking(LiveWidget):
             parts["delay"] = delay
         where = guidance.where if isinstance(guidance, Guidance) else guidance
         settings = TeleoperationSettings(duration=duration, study=loop.study, guidance=where)
-        seed = whole_number("seed", seed, least=0, most=2**32 - 1)
+        seed = whole_seed(seed, 2**32 - 1)
         config = teleoperation.flight_config(settings.as_json(), self.scheme.name, seed, task=task)
         # What parts of your own are recognized by after a restart of the kernel, where they lie
         # elsewhere in memory.
@@ -462,7 +462,7 @@ class LiveTeam(LiveWidget):
             one_of("condition", condition, task.conditions, also="a LeaderPolicy")
         settings = LeadingSettings() if settings is None else settings
         content = of_class("settings", settings, LeadingSettings).as_json()
-        seed = whole_number("seed", seed, least=0, most=2**32 - 1)
+        seed = whole_seed(seed, 2**32 - 1)
         config = team.team_config(content, condition, seed)
         config |= {"parts": parts, "late": settings.least_delay}
         config["facts"] |= parts

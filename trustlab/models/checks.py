@@ -150,11 +150,11 @@ def whole_number(name: str, value: Any, least: int = 1, most: int | None = None)
     return int(value)
 
 
-def whole_seed(value: Any) -> int:
+def whole_seed(value: Any, most: int | None = None) -> int:
     """Return a seed as an int; None, which other numbers would follow each time, is refused."""
     if value is None:
         raise ValueError("seed must be a whole number, 0 or more, got None; pass seed=0")
-    return whole_number("seed", value, least=0)
+    return whole_number("seed", value, 0, most)
 
 
 def flag(name: str, value: Any) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from trustlab.models.checks import of_class, whole_number
+from trustlab.models.checks import of_class, whole_number, whole_seed
 from trustlab.models.compiled import njit
 from trustlab.models.tsc import TscModel, threshold_mode
 from trustlab.operators.ground_robot import Operator
@@ -117,7 +117,7 @@ def simulated_answers(
     (10, 6)
     """
     participant = whole_number("participant", participant)
-    seed = whole_number("seed", seed, least=0)
+    seed = whole_seed(seed)
     if whole_number("points", points) not in (5, 7):
         raise ValueError(f"points must be 5 or 7, got {points!r}")
     error, effort, agreement = experience(session, study).values()

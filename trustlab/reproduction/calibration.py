@@ -27,7 +27,15 @@ from scipy import special
 from scipy.spatial import KDTree
 
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import between, in_order, of_class, one_of, shown, whole_number
+from trustlab.models.checks import (
+    between,
+    in_order,
+    of_class,
+    one_of,
+    shown,
+    whole_number,
+    whole_seed,
+)
 from trustlab.models.display import Result
 from trustlab.models.files import path_of, write_atomically
 from trustlab.operators.ground_robot import checked_assumptions
@@ -268,7 +276,7 @@ class Calibration(Result):
             the central 95 % under the posterior; predicted: whether what is printed lies within.
             Effects that no study simulated under the posterior has are left out.
         """
-        seed = whole_number("seed", seed, least=0)
+        seed = whole_seed(seed)
         people = self.posterior if people is None else people
         of_class("people", people, pd.DataFrame, "a row each, a column per assumption")
         studies = whole_number("studies", studies, most=len(people))
@@ -359,7 +367,7 @@ def calibrate(
     ranges = checked_priors(usual if priors is None else priors, study)
     simulations = whole_number("simulations", simulations)
     n = whole_number("n", n, least=3)  # fewer have no spread to test against
-    seed = whole_number("seed", seed, least=0)
+    seed = whole_seed(seed)
     _check_enough(simulations, len(effects))
     runs = [{"study": study, "n": n} | draw for draw in prior_draws(ranges, simulations, seed)]
     done = run_campaign(simulated_study, runs, seed=seed, n_jobs=n_jobs, out=out, progress=progress)

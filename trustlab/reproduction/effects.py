@@ -16,7 +16,7 @@ from scipy import special
 from trustlab.allocation.rules import PerformanceRule
 from trustlab.allocation.simulation import simulate_allocation
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import of_class, one_of, whole_number
+from trustlab.models.checks import of_class, one_of, whole_number, whole_seed
 from trustlab.operators.answers import simulated_answers
 from trustlab.operators.ground_robot import ASSUMPTIONS, checked_assumptions
 from trustlab.operators.teleoperator import TELEOPERATOR_ASSUMPTIONS
@@ -258,7 +258,7 @@ def simulated_effects(
     >>> effects["id"].tolist()
     ['table_2.6/followed_percent/C2-C4']
     """
-    n, seed = whole_number("n", n, least=3, most=1_000_000), whole_number("seed", seed, least=0)
+    n, seed = whole_number("n", n, least=3, most=1_000_000), whole_seed(seed)
     chosen = effects_of(only)
     places = chosen["place"].unique()
     assumed = checked_assumptions(assumptions, assumptions_about(places))

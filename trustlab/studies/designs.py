@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import flag, of_class, spawned, warn, whole_number
+from trustlab.models.checks import flag, of_class, spawned, warn, whole_number, whole_seed
 from trustlab.models.display import Result
 from trustlab.studies.table import labels_of, roles_of
 
@@ -245,7 +245,7 @@ def latin_square_design(
     else:
         participants = labels_of("participants", participants, 1)
     whole_squares = flag("whole_squares", whole_squares)
-    seed = whole_number("seed", seed, least=0)
+    seed = whole_seed(seed)
     k, n = len(conditions), len(participants)
     size = participants_needed(k)
     half = n % size == k < size

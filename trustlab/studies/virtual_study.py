@@ -15,7 +15,16 @@ import pandas as pd
 from numpy.random import SeedSequence
 
 from trustlab.campaign.run import run_campaign
-from trustlab.models.checks import counted, list_of, of_class, one_of, shown, warn, whole_number
+from trustlab.models.checks import (
+    counted,
+    list_of,
+    of_class,
+    one_of,
+    shown,
+    warn,
+    whole_number,
+    whole_seed,
+)
 from trustlab.models.display import Result, axes_or_new
 from trustlab.models.files import path_of, writing
 from trustlab.models.simulation import asked
@@ -297,7 +306,7 @@ def virtual_study(
     >>> study.table()[["measure", "F", "p"]].shape
     (13, 3)
     """
-    seed = whole_number("seed", seed, least=0)
+    seed = whole_seed(seed)
     if design is not None:
         if n is not None or conditions is not None:
             raise ValueError("n and conditions have no effect beside a design; leave them out")

@@ -16,6 +16,7 @@ from trustlab.models.checks import (
     of_class,
     one_of,
     whole_number,
+    whole_seed,
 )
 from trustlab.models.published import printed_pilot, published_table
 from trustlab.models.tsc import TscModel
@@ -61,7 +62,7 @@ def drawn_people(n: int, seed: int, people: int, draw: Callable) -> pd.DataFrame
     Each has a random stream of their own, so that a smaller sample is the beginning of a larger
     one; `people` is mixed into the seed.
     """
-    root = [whole_number("seed", seed, least=0), people]
+    root = [whole_seed(seed), people]
     rows = []
     for number in range(1, whole_number("n", n) + 1):
         rng = np.random.default_rng(np.random.SeedSequence(root, spawn_key=(number,)))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, whole_number
+from trustlab.models.checks import of_class, one_of, whole_seed
 from trustlab.models.display import Result
 from trustlab.reproduction.published_study import PublishedStudy
 from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, constraints, readings
@@ -132,7 +132,7 @@ def feasibility(study: PublishedStudy, p_adjust: str = "bonferroni", seed: int =
     """
     of_class("study", study, PublishedStudy)
     one_of("p_adjust", p_adjust, ADJUSTMENTS)
-    rng = np.random.default_rng(whole_number("seed", seed, least=0))
+    rng = np.random.default_rng(whole_seed(seed))
     left_out = contradictions(study, p_adjust)
     rows = [s for s in constraints(study) if s.name not in left_out]
     reading = reading_of(study)
