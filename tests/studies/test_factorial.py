@@ -121,6 +121,7 @@ def test_a_covariate_has_no_line_in_the_figure_and_adjusts_groups():
     assert alone.plot().get_legend().get_title().get_text() == "B"
     one = run(frame[frame["B"] == "b0"], within="A", covariates="age")
     assert one.apa().startswith("A one-way repeated-measures ANOVA of score with age as a cov")
+    assert one.plot().get_legend() is None
     row = run(frame, between="group", covariates=["age"]).pairs("group").loc[0]
     people = frame.groupby("person").agg({"score": "mean", "age": "first", "group": "first"})
     x = np.column_stack([people["group"] == "expert", people["age"], np.ones(10)])

@@ -55,7 +55,8 @@ HEADS = {"p_holm": "p (Holm)", "se": "standard error"}
     "columns",
     [
         {
-            "condition": {0.125: "0.125", 0.25: "0.25"},  # labels stay
+            # Labels stay.
+            **{name: {0.125: "0.125", 0.25: "0.25"} for name in ("a", "b", "level", "condition")},
             "df1": {1.0: "1", 2.0: "2"},  # decimals only where there are fractions
             "df2": {21.0: "21.00", 30.5: "30.50"},
             "F": {6.875: "6.88", np.nan: ""},

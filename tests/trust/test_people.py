@@ -14,7 +14,7 @@ import trustlab as tl
 from tests.cases import panel as few_people, refused
 from trustlab.models.published import data_folder
 from trustlab.trust import Event, people as sets, read_people
-from trustlab.trust.likelihood import log_likelihood
+from trustlab.trust.likelihood import log_likelihood, predict
 
 parametrize = pytest.mark.parametrize
 
@@ -96,6 +96,9 @@ def test_missing_events_change_nothing():
     for name, model in tl.trust.MODELS.items():
         fits = [log_likelihood(model(), each) for each in (short, long)]
         assert_allclose(*fits, rtol=0.0, atol=1e-9, err_msg=name)
+    # They last no time.
+    course = predict(tl.trust.MODELS["performance"](), long).mean
+    assert_allclose(course[:, -2:], course[:, -3:-1])
 
 
 def test_a_recipe_may_be_a_file_scale_performance_and_lack_a_first_rating(tmp_path):
