@@ -206,7 +206,8 @@ def test_a_failed_start_lets_the_study_go(make_plan):
         pass
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        with refused(f"cannot be served on port {port}"), StudyServer(plan, port):
+        kept = StudyServer(plan, port)  # as by the traceback in a notebook
+        with refused(f"cannot be served on port {port}"), kept:
             pass
     StudyServer(plan).__enter__().__exit__()
 
