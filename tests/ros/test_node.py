@@ -606,7 +606,8 @@ def test_bags_of_other_kinds_are_named(node, bag):
     driven(node, C3, bag, 30).finish()
     rows, kind = rows_of(bag), "std_msgs/msg/Bool"
     short = ("/odom", rows[-1][1], kind, fake_ros.Kind(kind)())
-    for changed in ([*rows, short], [row for row in rows if row[0] != "/cmd_vel"]):
+    other = ("/other", *rows[-1][1:])
+    for changed in ([*rows, short], [*rows, other], [r for r in rows if r[0] != "/cmd_vel"]):
         write(bag, changed)
         with pytest.raises(SessionError, match="bag"):
             read_run(bag)

@@ -148,6 +148,7 @@ def test_conditions_that_cannot_be_are_refused():
         (condition, "tsc", "notice has no effect without forced=True"),
         (condition, {"speed": 1.0}, "a signal of suggestions must be one of"),
         (partial(tl.LiveGroundRobot, "C1", model()), (0.0, 0.3), "thresholds have no effect in C1"),
+        (partial(tl.LiveGroundRobot, "C1", model(), None), 9, "laps .* from 1 to 8, got 9"),
     ):
         with refused(said):
             make(given)

@@ -141,6 +141,26 @@ def test_connections_are_capped_and_slow_heads_time_out(make_plan, serving, monk
         assert served.state().status == 200
 
 
+def test_connections_are_capped_in_all(make_plan, serving, monkeypatch):
+    monkeypatch.setattr("trustlab.live.study.server.MOST_CONNECTIONS", 20)
+    with serving(make_plan()) as served, ExitStack() as held:
+        place = ("127.0.0.1", served.server.port)
+        for k in range(25):
+            link = socket.create_connection(place, 5.0, (f"127.0.0.{k + 2}", 0))
+            held.enter_context(link)
+            assert k < 20 or link.recv(1) == b""
+
+
+def test_a_mistake_is_logged_once_and_counted(served, monkeypatch, caplog):
+    def wrong(body):
+        raise RuntimeError("a mistake")
+
+    monkeypatch.setattr(served.server.participant("P01"), "state", wrong)
+    assert [served.state().status for _ in range(2)] == [500, 500]
+    assert caplog.text.count("could not be answered") == 1
+    assert "2 requests could not be answered" in served.overview()["trouble"]
+
+
 def test_many_participants_may_have_more_files_than_a_process_usually_has(make_plan, serving):
     limit = resource.RLIMIT_NOFILE
     soft, hard = resource.getrlimit(limit)
@@ -206,7 +226,8 @@ def test_a_failed_start_lets_the_study_go(make_plan):
         pass
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        with refused(f"cannot be served on port {port}"), StudyServer(plan, port):
+        kept = StudyServer(plan, port)  # as by the traceback in a notebook
+        with refused(f"cannot be served on port {port}"), kept:
             pass
     StudyServer(plan).__enter__().__exit__()
 
