@@ -94,7 +94,7 @@ def test_closed_loop_keeps_range_order_and_incentives(seed, decade, way):
         loop.update(float(value), rng.uniform(0.365, 0.407), int(rng.integers(2)))
     table = loop.table()
     pair = table[["lower", "upper"]]
-    assert (way * (target - pair) >= 0.0).all(axis=None)
+    assert (way * (np.array(target) - pair) >= 0.0).all(axis=None)
     assert (way * pair.diff().iloc[1:] >= -1e-15).all(axis=None)
     assert (table["lower"] < table["upper"]).all()
     free = ~np.isnan(p_r)

@@ -484,6 +484,7 @@ def test_a_fault_in_the_file_is_named(tmp_path, monkeypatch, capsys, before, aft
     assert words in capsys.readouterr().err
 
 
+@pytest.mark.filterwarnings("ignore:nobody switched:UserWarning")
 def test_measures_join_those_of_a_virtual_study(node, bag):
     runs = []
     for k in range(6):

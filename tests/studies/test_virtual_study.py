@@ -18,6 +18,12 @@ from trustlab.operators.ground_robot import person_of
 from trustlab.testbeds import GroundRobot, OperatorPopulation, UavTracking
 from trustlab.testbeds.populations import COORDINATES, person_at
 
+# Sessions are short here, and people few.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:nobody (may switch|switched):UserWarning"),
+    pytest.mark.filterwarnings("ignore:participants. 3 do not fill:UserWarning"),
+]
+
 PUBLISHED = OperatorPopulation.ground_robot()
 CONDITIONS = ["C1", "C2", "C3", "C4", "C5"]
 

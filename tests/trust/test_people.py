@@ -116,6 +116,7 @@ def test_a_recipe_may_be_a_file_scale_performance_and_lack_a_first_rating(tmp_pa
     assert panel.cautions == ("Mine.",)
 
 
+@pytest.mark.filterwarnings("ignore:nobody may switch:UserWarning")
 def test_a_live_study_is_a_panel(tmp_path):
     """A rehearsal, whose answers are random: its panel has what its table of measures has."""
     pytest.importorskip("anywidget")
