@@ -93,6 +93,13 @@ def test_a_pair_is_judged_by_its_motion_sample_by_sample():
     assert thresholds._followed([tsc] * 3, screened, 0.95, "p_encloses") == (*pair, 0.0, 0.0)
 
 
+def test_how_far_a_motion_keeps_from_beta():
+    motions = survey([OPERATORS["4"]], [(-0.11, 0.36), (0.0, 0.1)], SCREEN)
+    off = np.maximum(motions["r_low"] - 0.75, 0.75 - motions["r_high"])
+    np.testing.assert_allclose(motions["off_beta"], off, atol=1e-12)
+    assert (off > 0.0).tolist() == [False, True]
+
+
 def test_a_clear_log_gets_thresholds_that_do_what_is_said(clear):
     choice = choose_thresholds(clear, confidence=0.95)
     assert choice.offered

@@ -58,7 +58,7 @@ NOTICED_BY = {
     "allocation/test_rules.py": "allocation/simulation",
     "allocation/test_guarantees.py": "allocation/simulation",
     "allocation/test_thresholds.py": "allocation/estimates",
-    "allocation/test_posterior_choice.py": "allocation/thresholds",
+    "allocation/test_posterior_choice.py": "allocation/steady allocation/thresholds",
     "trust/test_models.py": "trust/fitting",
     "trust/test_people.py": "trust/panel",
     "trust/test_models.py -k 'beta or not (ends or intervals or below or return)'": (

@@ -43,6 +43,10 @@ def test_printed_words_have_values():
     assert PrintedNumber("x", "Table", "x", "36", True).half == 0.0
 
 
+def test_a_table_has_the_heads_of_its_rows():
+    assert published_table("2.3").index.names == ["threshold", "statistic"]
+
+
 def test_models_have_the_printed_parameters():
     models, table = published_models(), published_table("2.1").astype(float)
     assert list(models) == ["pilot", "1", "2", "3", "4", "5"]
