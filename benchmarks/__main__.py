@@ -10,6 +10,7 @@ import importlib
 import importlib.metadata
 import os
 import platform
+import re
 import sys
 import time
 from datetime import UTC, datetime
@@ -89,11 +90,9 @@ def write(rows) -> None:
 
 def machine() -> str:
     """Return processor, cores and versions, without names of hosts or people."""
-    name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
-    for line in info.read_text().splitlines() if info.exists() else ():
-        if line.startswith("model name"):
-            name = line.partition(":")[2].strip()
+    named = re.search(r"model name\s*: (.*)", info.read_text()) if info.exists() else None
+    name = named[1] if named else platform.processor() or platform.machine()
     packages = ("numpy", "scipy", "pandas", "numba", "statsmodels", "pingouin", "casadi")
     versions = [f"{each} {importlib.metadata.version(each)}" for each in packages]
     return f"{name}, {os.cpu_count()} cores, {platform.system()}, " + ", ".join(

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import joblib
 import numpy as np
@@ -43,15 +42,14 @@ def rows() -> Iterator[Row]:
     """Yield campaigns on processes of this machine, and on Dask."""
     from distributed import Client, LocalCluster
 
-    yield compared("processes", contextlib.nullcontext)
+    yield compared("processes")
     quiet = {"dashboard_address": ":0", "silence_logs": "ERROR"}
     cluster = LocalCluster(n_workers=WORKERS, threads_per_worker=1, **quiet)
-    with cluster, Client(cluster):
-        yield compared("Dask", lambda: joblib.parallel_config("dask"))
+    with cluster, Client(cluster), joblib.parallel_config("dask"):
+        yield compared("Dask")
 
 
-def compared(place: str, context: Callable) -> Row:
+def compared(place: str) -> Row:
     """Return the row of one place where runs are computed."""
     work = f"run_campaign, {RUNS:,} runs of 1 ms on two workers, {place}, written to disk"
-    with context():
-        return beside(work, kept, "joblib alone, nothing kept", alone, least=0.95, turns=3)
+    return beside(work, kept, "joblib alone, nothing kept", alone, least=0.95, turns=3)

@@ -39,24 +39,20 @@ LATER |= {name: 0.4 for name in CALLS if name.startswith(("run_", "simulate_", "
 
 def rows() -> Iterator[Row]:
     """Yield the import beyond NumPy's, and a row per function."""
-    run(IMPORT, "")
-    times = [1e3 * run(IMPORT, "") for _ in range(9)]
+    run(IMPORT)
+    times = [1e3 * run(IMPORT) for _ in range(9)]
     work = "import trustlab, beyond import numpy"
     yield Row(work, times, goal="≤ 300 ms", met=median(times) <= 300.0)
     for name, call in CALLS.items():
         with tempfile.TemporaryDirectory() as folder:
-            cold, warm = (run(CALL.format(call), folder) for _ in range(2))
+            cold, warm = (run(CALL.format(call), TRUSTLAB_CACHE_DIR=folder) for _ in range(2))
         goal = f"≤ {FIRST[name]:g} s, then ≤ {LATER[name]:g} s"
         note = f"in the next process {warm:.2f} s"
         met = cold <= FIRST[name] and warm <= LATER[name]
         yield Row(f"First {name}, nothing compiled", [1e3 * cold], goal=goal, met=met, note=note)
 
 
-def run(code: str, folder: str) -> float:
-    """Return the seconds that code prints in a process whose compiled functions are in a folder."""
-    kept = {"TRUSTLAB_CACHE_DIR": folder} if folder else {}
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(
-        command, check=True, capture_output=True, text=True, env=os.environ | kept
-    )
-    return float(done.stdout)
+def run(code: str, **variables: str) -> float:
+    """Return the seconds that code prints in a process with these variables."""
+    command, environment = [sys.executable, "-c", code], os.environ | variables
+    return float(subprocess.check_output(command, text=True, env=environment))

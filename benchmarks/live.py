@@ -13,7 +13,6 @@ import sys
 import tempfile
 import threading
 import time
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -28,10 +27,11 @@ PEOPLE, SECONDS = 100, 20.0
 CLIENTS, RUN = 9, 30.0
 # How late a slow disk is [s].
 SLOW = 0.005
-# Of each task: how long a command holds [s], a command, and what a study of it is set to.
+# Of each task: how long a command holds [s], a command, and what a study of it is set to; so many
+# conditions fill whole squares.
 TASKS = {
     "ground_robot": (0.1, [0.3, 0.1, 1], {}),
-    "team": (0.05, [0.3, 0.1, 0], {"goals": 20}),
+    "team": (0.05, [0.3, 0.1, 0], {"goals": 20, "conditions": ["by_hand", "hysteresis"]}),
 }
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # Keeps in the page how long after each command the picture came that shows it [ms].
@@ -90,11 +90,8 @@ class Served:
         self.place = tempfile.TemporaryDirectory()
         self.folder = Path(self.place.name) / "study"
         self.period, self.command, settings = TASKS[task]
-        options = {"task": task, "training": training, "whole_squares": False, **settings}
-        with warnings.catch_warnings():
-            # So many participants need not fill whole squares here.
-            warnings.simplefilter("ignore", UserWarning)
-            plan = tl.LiveStudy(self.folder, participants=participants, **options)
+        settings = {"participants": participants, "task": task, "training": training, **settings}
+        plan = tl.LiveStudy(self.folder, **settings)
         command = [sys.executable, "-c", SERVER, str(slow), str(self.folder), "--port", "0"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         base = self.process.stdout.readline().split()[-1].partition("/experimenter/")[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import networkx as nx
@@ -44,6 +45,6 @@ def teleoperation() -> Iterator[Row]:
     for name, scheme in (("a user's scheme, asked every sample", mine), ("scheme OMI", "OMI")):
         yield within(f"{work}, {name}", lambda s=scheme: run(s), 250.0)
     rng, blending = np.random.default_rng(3), tl.OptimalBlending()
-    states = iter([0.3 * rng.normal(size=(5, 3)) for _ in range(4000)] * 50)
+    states = itertools.cycle(0.3 * rng.normal(size=(4000, 5, 3)))
     share = lambda: blending.step(*next(states))  # noqa: E731
     yield within("Optimal share of Appendix A, one step", share, 2.0)

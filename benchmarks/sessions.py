@@ -52,6 +52,6 @@ def measured(read: str, path: str) -> tuple[float, float]:
     # pandas reads with several threads, which no variable limits: so may Arrow.
     threads = {name: text for name, text in os.environ.items() if "_NUM_THREADS" not in name}
     command = [sys.executable, "-c", MEASURED.format(read, path)]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, env=threads)
-    seconds, megabytes = map(float, done.stdout.split())
+    said = subprocess.check_output(command, text=True, env=threads)
+    seconds, megabytes = map(float, said.split())
     return seconds, megabytes

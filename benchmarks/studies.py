@@ -22,10 +22,9 @@ LOOPED = 50
 
 def rows() -> Iterator[Row]:
     """Yield one-way and two-way analyses, a model of ratings, and a power analysis."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # pandas' own, from inside pingouin
-        for shape, limit, least in (((5,), 100.0, 200.0), ((2, 3), 1000.0, None)):
-            yield from analyses(shape, limit, least)
+    warnings.simplefilter("ignore")  # pandas' own, from inside pingouin
+    for shape, limit in (((5,), 100.0), ((2, 3), 1000.0)):
+        yield from analyses(shape, limit)
     ratings = pd.DataFrame({"subject": np.repeat(range(40), 6), "condition": list("abc") * 80})
     person = np.random.default_rng(0).normal(size=(40, 1))
     score = person + np.random.default_rng(1).logistic(size=(40, 6)) + [0.0, 0.5, 1.0] * 2
@@ -35,7 +34,7 @@ def rows() -> Iterator[Row]:
     yield power()
 
 
-def analyses(shape: tuple[int, ...], limit: float, least: float | None) -> Iterator[Row]:
+def analyses(shape: tuple[int, ...], limit: float) -> Iterator[Row]:
     """Yield the batch alone, and with pairs of one factor beside pingouin."""
     import pingouin
 
@@ -62,16 +61,15 @@ def analyses(shape: tuple[int, ...], limit: float, least: float | None) -> Itera
 
     work = f"repeated_measures_batch, {STUDIES:,} studies of 36 × {' × '.join(map(str, shape))}"
     same("pingouin", tl.repeated_measures_batch(scores[:LOOPED])["F"], loop(), 1e-9)
-    yield within(work, batch, limit, turns=5)
-    scale = STUDIES / LOOPED
     peer = "pingouin rm_anova, a loop, its time scaled"
-    yield beside(work, batch, peer, loop, least=least, turns=3, scale=scale)
+    timed = {"least": 200.0, "turns": 3, "scale": STUDIES / LOOPED}
+    yield beside(work, batch, peer, loop, limit=limit, **timed)
     if len(shape) == 1:
         design = Design(36, {"A": range(shape[0])})
         _, *weights = level_pairs(design, "A")
         both = lambda: (batch(), differences(regress(scores, design), *weights))  # noqa: E731
         peer = "pingouin rm_anova and pairwise_tests, a loop, its time scaled"
-        yield beside(f"{work}, and all pairs", both, peer, pairs, least=least, turns=3, scale=scale)
+        yield beside(f"{work}, and all pairs", both, peer, pairs, **timed)
 
 
 def power() -> Row:

@@ -73,14 +73,16 @@ def beside(
     peer: str,
     theirs: Callable[[], object],
     *,
-    least: float | None = None,
+    limit: float = math.inf,
+    least: float = 0.0,
     turns: int = 9,
     scale: float = 1.0,
     note: str = "",
 ) -> Row:
     """
-    Time ours, the peer, ours, the peer …; the goal is that the peer takes at least `least` times
-    as long. A peer that does only a share of the work has its time scaled.
+    Time ours, the peer, ours, the peer …; the goal is that ours takes at most `limit` milliseconds,
+    and the peer at least `least` times as long. A peer that does only a share of the work has its
+    time scaled.
     """
     counts = calls_of(ours), calls_of(theirs)
     mine, other = [], []
@@ -88,9 +90,10 @@ def beside(
         mine.append(1e3 * seconds(ours, counts[0]))
         other.append(1e3 * scale * seconds(theirs, counts[1]))
     ratios = [b / a for a, b in zip(mine, other, strict=True)]
-    goal = "" if least is None else f"ratio ≥ {least:.3g}"
-    met = None if least is None else median(ratios) >= least
-    return Row(work, mine, peer, other, ratios, goal, met, note)
+    goals = [f"≤ {time_of([limit])}"] if limit < math.inf else []
+    goals += [f"ratio ≥ {least:.3g}"] if least else []
+    met = median(mine) <= limit and median(ratios) >= least if goals else None
+    return Row(work, mine, peer, other, ratios, ", ".join(goals), met, note)
 
 
 def within(

@@ -8,19 +8,6 @@ from __future__ import annotations
 import itertools
 
 
-def constants(data):
-    """
-    Return the numbers of the problem by name.
-
-    Parameters
-    ----------
-    data : mapping of str to numpy.ndarray
-        Key `constants`: a_r, β, P_h,min, P_h,max, a_pr, b_pr, P_r,min, P_r,max.
-    """
-    names = ("a_r", "beta", "h_min", "h_max", "a_pr", "b_pr", "p_min", "p_max")
-    return dict(zip(names, (float(value) for value in data["constants"]), strict=True))
-
-
 def after(c, r, q, z_u, z_l, w_u, w_l, mode, exp, log):
     """
     Return the next r, scaled P_r and scaled thresholds, whatever r, q … are: numbers or symbols of
@@ -28,8 +15,8 @@ def after(c, r, q, z_u, z_l, w_u, w_l, mode, exp, log):
 
     Parameters
     ----------
-    c : dict
-        From `constants`.
+    c : dict of str to float
+        The constants a_r, beta, h_min, h_max, a_pr, b_pr, p_min, p_max of (2.3)-(2.6).
     r, q : object
         Utilization, and robot performance as a share of its range.
     z_u, z_l : object

@@ -4,7 +4,7 @@ do-mpc on the correction: a discrete model, the mode as a time-varying parameter
 
 import warnings
 
-from correction_problem import after, constants, in_turns
+from correction_problem import after, in_turns
 
 
 def ways(data):
@@ -13,7 +13,7 @@ def ways(data):
     import do_mpc
     import numpy as np
 
-    c, horizon = constants(data), int(data["horizon"])
+    c, horizon = data["constants"], data["horizon"]
 
     def controller():
         model = do_mpc.model.Model("discrete", "SX")
@@ -36,13 +36,8 @@ def ways(data):
         template, now = mpc.get_tvp_template(), {"modes": np.zeros(horizon), "scale": 1.0}
 
         def ahead(_):
-            for k in range(horizon):
-                template["_tvp", k, "mode"] = now["modes"][k]
-                template["_tvp", k, "scale"] = now["scale"]
-            template["_tvp", horizon, "mode"], template["_tvp", horizon, "scale"] = (
-                0.0,
-                now["scale"],
-            )
+            template["_tvp", :, "mode"] = [*now["modes"], 0.0]
+            template["_tvp", :, "scale"] = [now["scale"]] * (horizon + 1)
             return template
 
         mpc.set_tvp_fun(ahead)
@@ -58,12 +53,7 @@ def ways(data):
             mpc.make_step(state[:, None])
             if not mpc.solver_stats["success"]:
                 raise RuntimeError(mpc.solver_stats["return_status"])
-            return np.array(
-                [
-                    [float(v) for v in np.asarray(mpc.opt_x_num["_u", k, 0]).ravel()]
-                    for k in range(horizon)
-                ]
-            ).T
+            return ca.horzcat(*mpc.opt_x_num["_u", :, 0]).full()
 
         return solve
 

@@ -6,7 +6,7 @@ state are parameters.
 import casadi as ca
 import numpy as np
 
-from benchmarks.peers.correction_problem import after, constants
+from benchmarks.peers.correction_problem import after
 
 
 def shooting(data):
@@ -14,7 +14,7 @@ def shooting(data):
     Return a call that solves the problem for r, q, z_u, z_l, shape (4,), and a sequence of modes,
     shape (N,), and returns w; it is warm-started from the last solution.
     """
-    c, horizon = constants(data), int(data["horizon"])
+    c, horizon = data["constants"], data["horizon"]
     opti = ca.Opti()
     x, w = opti.variable(4, horizon + 1), opti.variable(2, horizon)
     start, modes = opti.parameter(4), opti.parameter(1, horizon)

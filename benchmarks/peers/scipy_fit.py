@@ -31,8 +31,9 @@ def residuals(x, mode, p_h, p_r, sd_h, sd_r, out, by_x):
     w_r = 1.0 / sd_r
     r = 0.0
     r_a = 0.0
-    d0 = d1 = d2 = d3 = d4 = d5 = d6 = 0.0
-    d7 = 1.0
+    # dP_r by each parameter; the last is P_r's own start.
+    d = np.zeros(8)
+    d[7] = 1.0
     for k in range(n):
         m = mode[k]
         bell = by_a = by_beta = 0.0
@@ -44,27 +45,23 @@ def residuals(x, mode, p_h, p_r, sd_h, sd_r, out, by_x):
         h = h_min + span * bell
         out[k] = w_h * (h - p_h[k])
         out[n + k] = w_r * (now - p_r[k])
-        by_x[0, k] = w_h * by_a
-        by_x[1, k] = w_h * by_beta
-        by_x[2, k] = w_h * (1.0 - bell)
-        by_x[3, k] = w_h * bell
-        by_x[0, n + k] = w_r * d0
-        by_x[1, n + k] = w_r * d1
-        by_x[2, n + k] = w_r * d2
-        by_x[3, n + k] = w_r * d3
-        by_x[4, n + k] = w_r * d4
-        by_x[5, n + k] = w_r * d5
-        by_x[6, n + k] = w_r * d6
-        by_x[7, n + k] = w_r * d7
+        by_h = (by_a, by_beta, 1.0 - bell, bell)
         into, share = rest * rise / h_max * m, m * h / h_max
-        d0 = a * d0 + into * by_a
-        d1 = a * d1 + into * by_beta
-        d2 = a * d2 + into * (1.0 - bell)
-        d3 = a * d3 + into * (bell - h / h_max)
-        d4 = a * d4 + now - p_min - rise * share
-        d5 = a * d5 + rest * (1.0 - share)
-        d6 = a * d6 + rest * share
-        d7 = a * d7
+        by_r = (
+            into * by_a,
+            into * by_beta,
+            into * (1.0 - bell),
+            into * (bell - h / h_max),
+            now - p_min - rise * share,
+            rest * (1.0 - share),
+            rest * share,
+            0.0,
+        )
+        for i in range(4):
+            by_x[i, k] = w_h * by_h[i]
+        for i in range(8):
+            by_x[i, n + k] = w_r * d[i]
+            d[i] = a * d[i] + by_r[i]
         now = a * now + rest * p_min + into * h
         r_a = a_h * r_a + r - m
         r = a_h * r + (1.0 - a_h) * m
