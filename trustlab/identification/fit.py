@@ -4,13 +4,10 @@
 1. Sessions become `Run`s, and the model what the log shows of it (log.py).
 2. The model gives starts, from block means (tsc.py); a rough search goes from each, samples far
    from the model are left out, and a fine search goes on from the best (problem.py).
-3. The noise of its residuals is modelled (noise.py), and the search goes on.
+3. The noise of its residuals is modelled (log.py), and the search goes on.
 4. The covariance: of noise, of errors of the mode's stamps, of states at a bound; in coordinates of
    the search, in which the likelihood is most nearly Gaussian.
-5. The table, what is weak, remarks, and doubts.
-
-Remarks tell what a reader should know; doubtful are a mode stamped early or late, coarse numbers,
-slow noise, and other values that explain the data as well.
+5. The table, what is weak, remarks on the data, and doubts about the intervals.
 """
 
 from collections import Counter
@@ -187,9 +184,9 @@ class Estimate:
     The best optimum with covariance and diagnostics.
 
     `rivals` are the best of the rough optima and others nearly as likely; `covariance` is that of
-    the values: 0 in rows of fixed unknowns and NaN in rows of those at a bound. `simple_p` is the p
-    value of the whiteness test before the noise was modelled; `sandwiched` says that the covariance
-    allows for remaining correlation.
+    the values, NaN in rows of unknowns that are fixed or at a bound. `simple_p` is the p value of
+    the whiteness test before the noise was modelled; `sandwiched` says that the covariance allows
+    for remaining correlation.
     """
 
     optimum: Optimum
@@ -212,8 +209,7 @@ class Estimate:
     @property
     def stderr(self) -> np.ndarray:
         """Standard errors of the full vector; NaN for what is fixed or held by a bound."""
-        fixed = self.problem.low == self.problem.high
-        return np.sqrt(np.where(fixed, np.nan, np.diag(self.covariance)))
+        return np.sqrt(np.diag(self.covariance))
 
     @property
     def degrees_of_freedom(self) -> float:
@@ -259,8 +255,7 @@ def covariance_of(
     # d(value)/dx by a complex step, which is exact to rounding.
     slopes = np.imag(problem.values(x + 1e-100j)) / 1e-100
     places = problem.free[loose]
-    covariance = np.zeros((x.size, x.size))
-    covariance[optimum.at_bound, :] = covariance[:, optimum.at_bound] = np.nan
+    covariance = np.full((x.size, x.size), np.nan)
     covariance[np.ix_(places, places)] = block * np.outer(slopes[places], slopes[places])
     shift = _shift_of_states(optimum)
     return covariance + np.outer(shift, shift) / LIKELY
@@ -274,7 +269,7 @@ def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
     for i, run in enumerate(problem.runs):
         mode = run.columns.get("mode", np.zeros(1))
         switches = np.flatnonzero(np.diff(mode > 0.5)) + 1
-        if run.stamp_error == 0.0 or switches.size == 0:
+        if run.stamp_error == 0.0:
             continue
         # Neighbours add about the same: of thousands of switches some stand for all.
         chosen = switches[:: 1 + switches.size // SWITCHES]
@@ -460,19 +455,18 @@ def _model(model: Model, values: pd.Series, sentences: list[str]) -> Any:
 def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
     """Put every run beside its fitted outputs and prediction errors."""
     problem, x = estimate.problem, estimate.optimum.x
-    model, whitened = problem.model, problem.whitened(x)
+    problem.equations(x)
     for i, (run, of_run) in enumerate(zip(problem.runs, problem.series, strict=True)):
-        # Values that the log has as means are shown as it has them.
-        undone = [run.undone if name in averaged(model.outputs) else 1 for name in model.outputs]
-        parts = zip(of_run, problem.simulated(run, i, x), whitened, undone, strict=True)
-        shown = [
-            (window_means(s.measured, w), window_means(simulated, w), errors[i], s.known)
-            for s, simulated, errors, w in parts
-        ]
-        columns = zip(*shown, strict=True)
-        by_name = [dict(zip(model.outputs, column, strict=True)) for column in columns]
-        inputs = {name: run[name] for name in model.inputs}
-        yield RunFit(run.label, run.synthetic, run.t, inputs, *by_name)
+        inputs = {name: run[name] for name in problem.model.inputs}
+        shown = RunFit(run.label, run.synthetic, run.t, inputs, {}, {}, {}, {})
+        outputs = zip(problem.model.outputs, of_run, problem.simulated(run, i, x), strict=True)
+        for name, series, simulated in outputs:
+            # Values that the log has as means are shown as it has them.
+            window = run.undone if averaged([name]) else 1
+            shown.measured[name] = window_means(series.measured, window)
+            shown.fitted[name] = window_means(simulated, window)
+            shown.errors[name], shown.known[name] = series.errors.copy(), series.known
+        yield shown
 
 
 # --- remarks --------------------------------------------------------------------------------------

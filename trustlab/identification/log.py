@@ -364,16 +364,17 @@ def pooled_correlation(errors: list[np.ndarray], others: list[np.ndarray], lags:
     """
     Return the correlation of e(k) with u(k − lag), lag = 0, 1, …, pooled over runs.
 
-    No product crosses from one run to the next; means are those of all runs, as in statsmodels.
-    0 where one of them never moves.
+    Means are those of all runs, as in statsmodels. 0 where one of them never moves.
     """
-    e_mean, u_mean = (np.concatenate(each).mean() for each in (errors, others))
-    sums, powers = np.zeros(lags + 1), np.zeros(2)
-    for e, u in zip(errors, others, strict=True):
-        e, u = e - e_mean, u - u_mean
-        sums += [e[lag:] @ u[: max(u.size - lag, 0)] for lag in range(lags + 1)]
-        powers += e @ e, u @ u
-    scale = np.sqrt(powers.prod())
+
+    def apart(runs: list[np.ndarray]) -> np.ndarray:
+        """Return deviations from the mean, with zeros between runs, so that no product crosses."""
+        mean = np.concatenate(runs).mean()
+        return np.concatenate([np.pad(run - mean, (0, lags)) for run in runs])
+
+    e, u = apart(errors), apart(others)
+    sums = np.array([e[lag:] @ u[: u.size - lag] for lag in range(lags + 1)])
+    scale = np.sqrt((e @ e) * (u @ u))
     return sums / scale if scale > 0.0 else sums
 
 

@@ -516,8 +516,8 @@ def rough_optima(
         optima = min(views, key=lambda view: _deviance_with_noise(view[0]))
     if robust:
         optima = _without_outliers(optima, **ROUGH)
-    best, every = optima[0], np.full(optima[0].problem.loads.size, True)
-    for held in _held_elsewhere(best, every, APART) if len(views) > 1 else ():
+    best = optima[0]
+    for held in _held_elsewhere(best, slice(None), APART) if len(views) > 1 else ():
         if held.deviance < best.deviance + SHALLOW:
             optima.append(search(best.problem, held.x, **ROUGH))
     return _sorted(optima)
@@ -569,11 +569,12 @@ def _deviance_with_noise(optimum: Optimum) -> float:
     return end.deviance
 
 
-def _held_elsewhere(optimum: Optimum, which: np.ndarray, shares: tuple) -> Iterator[Optimum]:
+def _held_elsewhere(optimum: Optimum, which: Any, shares: tuple) -> Iterator[Optimum]:
     """Yield searches with some loads held at shares of the way from their nearer end."""
     ends, inwards = ends_of_loads(optimum)
-    for share in shares if which.any() else ():
-        yield held_at(optimum, optimum.problem.loads[which], (ends + share * inwards)[which])
+    held = optimum.problem.loads[which]
+    for share in shares if held.size else ():
+        yield held_at(optimum, held, (ends + share * inwards)[which])
 
 
 def best_optimum(optimum: Optimum, robust: bool = True) -> Optimum:
