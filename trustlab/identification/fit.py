@@ -360,7 +360,7 @@ def result_of(estimate: Estimate) -> FitResult:
         parameters=table,
         covariance=covariance,
         initial_states=pd.DataFrame(
-            states.reshape(-1, len(heads)) if heads else None,
+            states.reshape(len(problem.runs), len(heads)),
             index=pd.Index([run.label for run in problem.runs], name="run"),
             columns=heads,
         ),

@@ -238,8 +238,8 @@ def _refined(model: Model, points_of: Callable, runs: list[Run], limits: Mapping
 
     def over(values: dict, samples: float) -> dict:
         """Return values with rates over so many samples in place of one."""
-        powers = {name: values[name] ** samples for name in rates}
-        return values | {n: np.clip(power, edges.low, edges.high) for n, power in powers.items()}
+        powers = {n: np.clip(values[n] ** samples, edges.low, edges.high) for n in rates}
+        return values | powers
 
     coarse = over({name: np.array(ends) for name, ends in limits.items()}, length)
     problem = Problem(model, means, coarse)
