@@ -104,7 +104,7 @@ def transfer_model(order: int, sample_time: float) -> Model:
         for d in _grid(order, runs, sample_time):
             # With the gain that suits the command's response best.
             of_one = np.concatenate([response(run, d, 1.0, np.zeros(order)) for run in runs])
-            gain = velocity @ of_one / (of_one @ of_one)
+            gain = np.linalg.lstsq(of_one[:, None], velocity)[0].item()
             values = {"gain": gain, **dict(zip(denominator, d, strict=True)), **first}
             ways.append((np.sum((velocity - gain * of_one) ** 2), values))
         return [values for _, values in sorted(ways, key=lambda way: way[0])[:STARTS]]
