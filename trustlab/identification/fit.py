@@ -167,11 +167,7 @@ def fit_runs(
 
 
 class ModeDelay(NamedTuple):
-    """
-    Delay of the mode behind its stamp [s], as residuals show it.
-
-    `shift` is the change of the loose unknowns per second of delay.
-    """
+    """Delay of the mode behind its stamp [s]; `shift`, of the loose unknowns, is per second."""
 
     value: float
     stderr: float
