@@ -45,7 +45,6 @@ CHEAPER = {
 CALLS = {
     # Names of rooms.
     "allocation.step_bounds": lambda: {"tsc": cases.model()},
-    "models.StepScaling": {"low": 0.2, "high": 0.8},
     "operators.operator": lambda: {"participant": 1, "model": cases.model()},
     "reproduction.read_calibration": {"study": "uav", "folder": "data/calibration"},
     "studies.apa_p": {"p": 0.01},

@@ -98,17 +98,6 @@ def trust_in_time():
     return [*run, dynamics.steady_state(0.7), dynamics.decay(0.1), dynamics.step(0.2, 0.7, 0.1)]
 
 
-def scales():
-    """Return the scales (3.5) and (3.6) of a range of trust."""
-    trust = np.linspace(0.0, 1.0, 25)
-    logistic = tl.models.LogisticScaling(low=0.2, high=1.0)
-    step = tl.models.StepScaling(low=0.2, high=1.0)
-    return {
-        "logistic": [logistic.value(value) for value in trust],
-        "step": [step.value(value) for value in trust],
-    }
-
-
 def vehicles():
     """Return the poles of the printed vehicles, and what they do in a sample."""
     axes = tl.models.PRINTED_UAV.values()
@@ -416,7 +405,6 @@ CASES = {
     "HumanModel": utilization,
     "TscModel": lambda: model().simulate(mode(), r0=0.3, p_r0=0.3),
     "TrustModel": trust_in_time,
-    "LogisticScaling": scales,
     "TransferFunction": vehicles,
     # campaign
     "run_campaign": campaign,

@@ -13,7 +13,7 @@ from statsmodels.tsa.stattools import acf
 import trustlab as tl
 from tests.identification import cases
 from trustlab import fit_robot
-from trustlab.identification.noise import Noise, fitted_noise, hac_matrix, pooled_correlation
+from trustlab.identification.log import Noise, fitted_noise, hac_matrix, pooled_correlation
 
 
 @pytest.fixture(scope="module")

@@ -117,7 +117,7 @@ def test_ranges_that_give_no_weights_are_refused_where_these_are_returned():
             "or bounds rule it out: the fit has p_max = 0.3, not above p_min = 0.6",
             {"bounds": {"p_min": (0.6, 0.9), "p_max": (0.1, 0.3)}},
         ),
-        (fit_human, "lie outside", {"bounds": {"beta": (1.5, 2.0)}}),
+        (fit_human, r"partly within \[1e-09, 1\], got", {"bounds": {"beta": (1.5, 2.0)}}),
         (fit_human, "both fixed and bound", {"fixed": {"a": 0.9}, "bounds": {"a": (0.8, 0.95)}}),
         (fit_tsc, "did you mean 'human_a' or 'robot_a'", {"fixed": {"a": 0.99}}),
     ],

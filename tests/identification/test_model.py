@@ -21,8 +21,7 @@ from tests.identification.cases import PILOT, log, session, truth, undetermined
 from tests.identification.test_independent import human_output, robot_output
 from trustlab import Model, fit as fit_model
 from trustlab.identification import ROBOT, TSC
-from trustlab.identification.log import read_runs
-from trustlab.identification.noise import hac_lags
+from trustlab.identification.log import hac_lags, read_runs
 from trustlab.identification.problem import Problem
 
 

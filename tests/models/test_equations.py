@@ -21,7 +21,7 @@ from scipy.integrate import solve_ivp
 import trustlab as tl
 from tests.cases import motion, refused
 from trustlab.models.published import printed_pilot
-from trustlab.models.trust import LogisticScaling, StepScaling, TrustModel
+from trustlab.models.trust import TrustModel, logistic_scale
 from trustlab.models.tsc import (
     advance,
     human_at,
@@ -201,42 +201,15 @@ def test_with_b_above_a_trust_leaves_its_bounds():
     assert trust.simulate(np.ones(500), 0.1).max() > 1.0
 
 
-def test_scalings_are_the_printed_functions_or_are_refused():
-    logistic = LogisticScaling(low=0.05, high=1.0, steepness=12.0, t_min=0.2, t_max=0.8)
-    trust = np.linspace(-0.5, 1.5, 41)
-    printed = 1.0 - 0.95 / (1.0 + np.exp(-12.0 * (trust - 0.5) / 0.6))
-    assert_allclose(logistic.value(trust), printed, atol=1e-14)
-    assert logistic.value([-1e9, 1e9]).tolist() == approx([1.0, 0.05])
-    assert replace(logistic, steepness=10).steepness == 10.0
-    with refused("steepness must be at least 10"):
-        replace(logistic, steepness=9.999)
-    step = StepScaling(0.2, 1.0, 0.4)
-    assert step.value([0.0, 0.3999, 0.4, 1.0]).tolist() == [1.0, 1.0, 0.2, 0.2]
-    assert replace(step, midpoint=None, low=1.0, t_min=-3.0).midpoint == -1.0
-
-
 @given(unit, unit, st.floats(10.0, 1e4), st.lists(st.floats(-2.0, 3.0), min_size=2, max_size=20))
-def test_scalings_fall_with_trust_and_keep_their_bounds(low, high, steepness, trust):
-    low, high = min(low, high), max(low, high)
-    for scaling in (LogisticScaling(low, high, steepness), StepScaling(low, high)):
-        values = scaling.value(sorted(trust))
-        assert (np.diff(values) <= 0.0).all()
-        assert values.min() >= low * (1 - 1e-15)
-        assert values.max() <= high * (1 + 1e-15)
-
-
-@parametrize(
-    ("arguments", "words"),
-    [
-        ((0.0, 1.0), r"got 0\.0: a scale of zero leaves one-way"),
-        ((0.5, 0.2), "low must not exceed high"),
-        ((0.1, 1.0, 0.0), r"strictly between t_min = 0\.0 and t_max"),
-        ((0.1, 1.0, 1.0), r"strictly between t_min = 0\.0 and t_max"),
-    ],
-)
-def test_scalings_say_what_would_break_teleoperation(arguments, words):
-    with refused(words):
-        StepScaling(*arguments)
+def test_the_scale_is_the_printed_one_falls_with_trust_and_keeps_its_bounds(a, b, s, trust):
+    low, high, trust = min(a, b), max(a, b), np.sort(trust)
+    values = [logistic_scale(low, high, s, 0.5, level) for level in trust]
+    with np.errstate(over="ignore"):
+        printed = high - (high - low) / (1.0 + np.exp(-s * (trust - 0.5)))
+    assert_allclose(values, printed, atol=1e-14)
+    assert (np.diff(values) <= 0.0).all()
+    assert low * (1 - 1e-15) <= min(values) <= max(values) <= high * (1 + 1e-15)
 
 
 # --- the UAV of Appendix A ------------------------------------------------------------------------

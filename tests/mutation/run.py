@@ -39,13 +39,13 @@ NOTICED_BY = {
     "sessions/tables",
     "sessions/test_real_logs.py": "sessions/folders",
     "sessions/test_writing.py": "sessions/bags",
-    "identification/test_fit_result.py": "identification/noise identification/result",
+    "identification/test_fit_result.py": "identification/log identification/result",
     "identification/test_limits.py": "identification/fit identification/model identification/tsc",
     "identification/test_logged.py": "identification/fit identification/log "
     "identification/problem identification/tsc",
     "identification/test_model.py": "identification/log",
     "identification/test_regression.py": "identification/transfer_function",
-    "identification/posterior/test_likelihood.py": "identification/noise "
+    "identification/posterior/test_likelihood.py": "identification/log "
     "identification/posterior/density",
     "identification/posterior/test_sample_posterior.py": "identification/posterior/result "
     "identification/posterior/sampling",

@@ -4,13 +4,10 @@
 1. Sessions become `Run`s, and the model what the log shows of it (log.py).
 2. The model gives starts, from block means (tsc.py); a rough search goes from each, samples far
    from the model are left out, and a fine search goes on from the best (problem.py).
-3. The noise of its residuals is modelled (noise.py), and the search goes on.
+3. The noise of its residuals is modelled (log.py), and the search goes on.
 4. The covariance: of noise, of errors of the mode's stamps, of states at a bound; in coordinates of
    the search, in which the likelihood is most nearly Gaussian.
-5. The table, what is weak, remarks, and doubts.
-
-Remarks tell what a reader should know; doubtful are a mode stamped early or late, coarse numbers,
-slow noise, and other values that explain the data as well.
+5. The table, what is weak, remarks on the data, and doubts about the intervals.
 """
 
 from collections import Counter
@@ -24,26 +21,22 @@ import pandas as pd
 from scipy import special
 
 from trustlab.identification.log import (
+    NOT_WHITE,
     LogSettings,
+    Noise,
     Run,
     averaged,
     delayed,
+    hac_lags,
     joined,
     log_settings,
     never_switches,
     read_runs,
     undo_window,
+    whiten,
     window_means,
 )
 from trustlab.identification.model import IdentificationError, Model
-from trustlab.identification.noise import (
-    NOT_WHITE,
-    Noise,
-    hac_lags,
-    hac_matrix,
-    whiten,
-    whiteness_p,
-)
 from trustlab.identification.problem import (
     Optimum,
     Problem,
@@ -152,13 +145,13 @@ def fit_runs(
     optima = rough_optima(model, runs, limits, robust)
     optimum = best_optimum(optima[0], robust)
     problem = optimum.problem
-    simple_p = last_p = whiteness_of(optimum)
+    simple_p = last_p = optimum.whiteness_p()
     if noise == "correlated" or (noise == "auto" and simple_p < NOT_WHITE):
         # The noise belongs to the residuals, and these to the estimates: three rounds settle both.
         for _ in range(3):
             problem.fit_noise(optimum.x)
             optimum = search(problem, optimum.x)
-        last_p = whiteness_of(optimum)
+        last_p = optimum.whiteness_p()
     sandwiched = noise == "hac" or (noise != "white" and last_p < NOT_WHITE)
     inverse = optimum.inverse_information()
     delay = mode_delay(optimum, sandwiched)
@@ -174,11 +167,7 @@ def fit_runs(
 
 
 class ModeDelay(NamedTuple):
-    """
-    Delay of the mode behind its stamp [s], as residuals show it.
-
-    `shift` is the change of the loose unknowns per second of delay.
-    """
+    """Delay of the mode behind its stamp [s]; `shift`, of the loose unknowns, is per second."""
 
     value: float
     stderr: float
@@ -191,9 +180,9 @@ class Estimate:
     The best optimum with covariance and diagnostics.
 
     `rivals` are the best of the rough optima and others nearly as likely; `covariance` is that of
-    the values: 0 in rows of fixed unknowns and NaN in rows of those at a bound. `simple_p` is the p
-    value of the whiteness test before the noise was modelled; `sandwiched` says that the covariance
-    allows for remaining correlation.
+    the values, NaN in rows of unknowns that are fixed or at a bound. `simple_p` is the p value of
+    the whiteness test before the noise was modelled; `sandwiched` says that the covariance allows
+    for remaining correlation.
     """
 
     optimum: Optimum
@@ -216,8 +205,7 @@ class Estimate:
     @property
     def stderr(self) -> np.ndarray:
         """Standard errors of the full vector; NaN for what is fixed or held by a bound."""
-        fixed = self.problem.low == self.problem.high
-        return np.sqrt(np.where(fixed, np.nan, np.diag(self.covariance)))
+        return np.sqrt(np.diag(self.covariance))
 
     @property
     def degrees_of_freedom(self) -> float:
@@ -240,13 +228,6 @@ class Estimate:
         return np.sqrt(self.problem.equations(self.optimum.x).squares / freedom)
 
 
-def whiteness_of(optimum: Optimum) -> float:
-    """Return the least p value of the Ljung–Box tests of all outputs ([S] Section 11.2)."""
-    problem = optimum.problem
-    pairs = zip(problem.exact(optimum.x), problem.whitened(optimum.x), strict=True)
-    return min(1.0 if exact else whiteness_p(errors) for exact, errors in pairs)
-
-
 # --- the covariance -------------------------------------------------------------------------------
 
 
@@ -261,7 +242,7 @@ def covariance_of(
     # MacKinnon & White 1985 (Stata's newey).
     samples = problem.counts.sum()
     factor = samples / max(samples - loose.size, 1.0)
-    block = factor * (sandwich(optimum, inverse) if sandwiched else inverse)
+    block = factor * (optimum.sandwich(inverse) if sandwiched else inverse)
     block += _of_stamps(optimum, inverse)
     if any(run.stamp_error > 0.0 for run in problem.runs):
         # Stamps that are not exact may share an error, too: of any size that the residuals allow.
@@ -270,25 +251,10 @@ def covariance_of(
     # d(value)/dx by a complex step, which is exact to rounding.
     slopes = np.imag(problem.values(x + 1e-100j)) / 1e-100
     places = problem.free[loose]
-    covariance = np.zeros((x.size, x.size))
-    covariance[optimum.at_bound, :] = covariance[:, optimum.at_bound] = np.nan
+    covariance = np.full((x.size, x.size), np.nan)
     covariance[np.ix_(places, places)] = block * np.outer(slopes[places], slopes[places])
     shift = _shift_of_states(optimum)
     return covariance + np.outer(shift, shift) / LIKELY
-
-
-def sandwich(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
-    """Return the covariance by the long-run covariance of the scores, summed over runs."""
-    problem = optimum.problem
-    lags = max(map(hac_lags, problem.whitened(optimum.x)))
-    weights = problem.equations(optimum.x).weights
-    total = np.zeros((problem.free.size,) * 2)
-    for of_run in problem.series:
-        pairs = zip(weights, of_run, strict=True)
-        scores = sum(weight * s.slopes * s.errors[:, None] for weight, s in pairs)
-        unknowns = of_run[0].unknowns
-        total[np.ix_(unknowns, unknowns)] += hac_matrix(scores, lags)
-    return inverse @ total[np.ix_(optimum.loose, optimum.loose)] @ inverse
 
 
 def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
@@ -299,7 +265,7 @@ def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
     for i, run in enumerate(problem.runs):
         mode = run.columns.get("mode", np.zeros(1))
         switches = np.flatnonzero(np.diff(mode > 0.5)) + 1
-        if run.stamp_error == 0.0 or switches.size == 0:
+        if run.stamp_error == 0.0:
             continue
         # Neighbours add about the same: of thousands of switches some stand for all.
         chosen = switches[:: 1 + switches.size // SWITCHES]
@@ -321,25 +287,24 @@ def _of_stamps(optimum: Optimum, inverse: np.ndarray) -> np.ndarray:
 
 def mode_delay(optimum: Optimum, sandwiched: bool) -> ModeDelay:
     """Return the delay of the mode that the residuals show, to first order; 0 if they cannot."""
-    problem, names = optimum.problem, optimum.problem.model.names
+    problem, model = optimum.problem, optimum.problem.model
     none = ModeDelay(0.0, 0.0, np.zeros(optimum.loose.size))
-    if "mode" not in problem.model.inputs or "mode_delay" in names:
+    if "mode" not in model.inputs or "mode_delay" in model.names:
         return none
-    # The same problem with the delay as one more unknown, at the same point.
-    late = problem.alike(delayed(problem.model), {"mode_delay": (-np.inf, np.inf)})
-    there = Optimum(late, np.insert(optimum.x, len(names), 0.0), True)
+    # The same problem with the delay as one more unknown, the first, at the same point.
+    late = problem.alike(delayed(model), {"mode_delay": (-np.inf, np.inf)})
+    there = Optimum(late, np.insert(optimum.x, 0, 0.0), True)
     try:
         inverse = there.inverse_information()
     except IdentificationError:
         return none
     at = late.equations(there.x)
     gradient = at.root.T @ at.residual
-    place = np.searchsorted(late.free[there.loose], len(names))
-    spread = sandwich(there, inverse) if sandwiched else inverse
+    spread = there.sandwich(inverse) if sandwiched else inverse
+    value = -inverse[0] @ gradient[there.loose]
     # What of the delay's effect the estimates imitate moves them; the rest tells of it.
-    shift = np.delete(inverse[place], place) / inverse[place, place]
-    value = -inverse[place] @ gradient[there.loose]
-    return ModeDelay(float(value), float(np.sqrt(spread[place, place])), shift)
+    shift = inverse[0, 1:] / inverse[0, 0]
+    return ModeDelay(float(value), float(np.sqrt(spread[0, 0])), shift)
 
 
 def _shift_of_states(optimum: Optimum) -> np.ndarray:
@@ -370,7 +335,7 @@ def _shift_of_states(optimum: Optimum) -> np.ndarray:
 def result_of(estimate: Estimate) -> FitResult:
     """Put an estimate and its tables into a FitResult; weak unknowns are marked here."""
     problem, optimum = estimate.problem, estimate.optimum
-    model, shared = problem.model, len(problem.model.names)
+    model = problem.model
     table, covariance = estimate_table(estimate)
     marks = list(_mark(estimate, table))
     doubts = (_coarse, _delay_warning, _slow, _rivals)
@@ -382,17 +347,18 @@ def result_of(estimate: Estimate) -> FitResult:
     sentences = [settled, *marks, *remarks(estimate), *reasons]
     if (marks or reasons) and "p_h" in model.outputs and not never_switches(problem.runs):
         sentences.append("trustlab.sample_posterior says what mode, p_h and p_r do determine.")
-    states = {}
-    for j, name in enumerate(model.states):
-        column = slice(shared + j, None, len(model.states))
-        states[name], states[f"{name}_stderr"] = estimate.values[column], estimate.stderr[column]
+    # A row of values, each with its error, for every run.
+    states = np.stack([estimate.values, estimate.stderr], axis=1)[len(model.names) :]
+    heads = [head for name in model.states for head in (name, f"{name}_stderr")]
     modelled = any(noise != Noise() for noise in problem.noise)
     return FitResult(
         model=_model(model, table["value"], [*marks, *reasons]),
         parameters=table,
         covariance=covariance,
         initial_states=pd.DataFrame(
-            states, index=pd.Index([run.label for run in problem.runs], name="run")
+            states.reshape(len(problem.runs), len(heads)),
+            index=pd.Index([run.label for run in problem.runs], name="run"),
+            columns=heads,
         ),
         runs=list(_run_fits(estimate)),
         noise="correlated" if modelled else "hac" if estimate.sandwiched else "white",
@@ -485,19 +451,18 @@ def _model(model: Model, values: pd.Series, sentences: list[str]) -> Any:
 def _run_fits(estimate: Estimate) -> Iterator[RunFit]:
     """Put every run beside its fitted outputs and prediction errors."""
     problem, x = estimate.problem, estimate.optimum.x
-    model, whitened = problem.model, problem.whitened(x)
+    problem.equations(x)
     for i, (run, of_run) in enumerate(zip(problem.runs, problem.series, strict=True)):
-        # Values that the log has as means are shown as it has them.
-        undone = [run.undone if name in averaged(model.outputs) else 1 for name in model.outputs]
-        parts = zip(of_run, problem.simulated(run, i, x), whitened, undone, strict=True)
-        shown = [
-            (window_means(s.measured, w), window_means(simulated, w), errors[i], s.known)
-            for s, simulated, errors, w in parts
-        ]
-        columns = zip(*shown, strict=True)
-        by_name = [dict(zip(model.outputs, column, strict=True)) for column in columns]
-        inputs = {name: run[name] for name in model.inputs}
-        yield RunFit(run.label, run.synthetic, run.t, inputs, *by_name)
+        inputs = {name: run[name] for name in problem.model.inputs}
+        shown = RunFit(run.label, run.synthetic, run.t, inputs, {}, {}, {}, {})
+        outputs = zip(problem.model.outputs, of_run, problem.simulated(run, i, x), strict=True)
+        for name, series, simulated in outputs:
+            # Values that the log has as means are shown as it has them.
+            window = run.undone if averaged([name]) else 1
+            shown.measured[name] = window_means(series.measured, window)
+            shown.fitted[name] = window_means(simulated, window)
+            shown.errors[name], shown.known[name] = series.errors.copy(), series.known
+        yield shown
 
 
 # --- remarks --------------------------------------------------------------------------------------

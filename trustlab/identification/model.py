@@ -15,7 +15,7 @@ from trustlab.models.checks import (
     of_class,
     one_of,
     open_unit,
-    shown,
+    table_of,
 )
 
 # How close to 0 and 1 an unknown in (0, 1) may come during the search.
@@ -236,27 +236,22 @@ class Model(Checked):
         bounds : mapping, optional
             (low, high) by name; None for an open side.
         """
-        given: dict[str, Any] = {
-            "fixed": {} if fixed is None else fixed,
-            "bounds": {} if bounds is None else bounds,
-        }
-        for argument, values in given.items():
-            if not isinstance(values, Mapping):
-                raise ValueError(f"{argument} must give values by name, got {shown(values)}")
-            self.check_names(values, argument)
-        for name in set(given["fixed"]) & set(given["bounds"]):
+        fixed = table_of("fixed", {} if fixed is None else fixed)
+        bounds = table_of("bounds", {} if bounds is None else bounds)
+        self.check_names(fixed, "fixed")
+        self.check_names(bounds, "bounds")
+        for name in set(fixed) & set(bounds):
             raise ValueError(f"{name} is both fixed and bounded; give one of them")
         limits = {}
         for name, *ends in zip(self.unknowns, self.low, self.high, strict=True):
             coordinate = self.coordinate(name)
             low, high = np.clip(ends, coordinate.low, coordinate.high).tolist()
-            if name in given["fixed"]:
-                value = given["fixed"][name]
+            if name in fixed:
                 if coordinate.low > 0.0:
-                    open_unit(f"fixed {name}", value)
-                low = high = between(f"fixed {name}", value, low, high)
-            if name in given["bounds"]:
-                low, high = _narrowed(name, given["bounds"][name], low, high)
+                    open_unit(f"fixed {name}", fixed[name])
+                low = high = between(f"fixed {name}", fixed[name], low, high)
+            if name in bounds:
+                low, high = _narrowed(name, bounds[name], low, high)
             limits[name] = (low, high)
         return limits
 
@@ -338,8 +333,10 @@ def _narrowed(name: str, pair: tuple, low: float, high: float) -> tuple[float, f
     least, most = pair
     least = low if least is None else finite_number(f"lower bound of {name}", least)
     most = high if most is None else finite_number(f"upper bound of {name}", most)
-    if not least < most:
-        raise ValueError(f"bounds of {name} must be (low, high) with low < high, got {pair}")
-    if most <= low or least >= high:
-        raise ValueError(f"bounds of {name}, {pair}, lie outside [{low:g}, {high:g}]")
-    return max(low, least), min(high, most)
+    ends = max(low, least), min(high, most)
+    if not ends[0] < ends[1]:
+        raise ValueError(
+            f"bounds of {name} must be (low, high) with low < high, partly within "
+            f"[{low:g}, {high:g}], got {pair}"
+        )
+    return ends

@@ -16,16 +16,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trustlab.identification.log import (
+    Noise,
     Run,
     averaged,
     counts,
+    fitted_noise,
+    hac_lags,
+    hac_matrix,
     joined,
     never_switches,
+    outliers,
+    scaled_roots,
     undone,
+    whiten,
+    whiteness_p,
     window_means,
 )
 from trustlab.identification.model import IdentificationError, Model
-from trustlab.identification.noise import Noise, fitted_noise, outliers, scaled_roots, whiten
 from trustlab.models.checks import counted, of_class
 from trustlab.models.compiled import njit
 
@@ -128,9 +135,7 @@ class Problem:
 
     def __init__(self, model: Model, runs: list[Run], limits: Mapping, unwindow: bool = False):
         self.model, self.limits, self.unwindow = model, limits, unwindow
-        # Of runs of its own, in whose buffers no other problem writes.
-        self.runs = [undone(run, model.outputs) if unwindow else run.changed({}) for run in runs]
-        runs = self.runs
+        self.runs = runs = [undone(run, model.outputs) for run in runs] if unwindow else runs
         self.noise = [Noise()] * len(model.outputs)
         shared, states = len(model.names), len(model.states)
         self.unknowns = [*model.names, *model.states * len(runs)]
@@ -201,9 +206,7 @@ class Problem:
 
     def simulated(self, run: Run, i: int, x: np.ndarray) -> list[np.ndarray]:
         """Return the outputs, shape (N,), of a run in place of run i at a full vector."""
-        # In buffers of its own: those of a run hold the errors and derivatives of the last point.
-        outputs = self._outputs(run.changed({}), i, self.values(x)[None])
-        return [output[:, 0] for output in outputs]
+        return [output[:, 0] for output in self._outputs(run, i, self.values(x)[None])]
 
     def _simulate(self, x: np.ndarray) -> None:
         """Fill the errors and derivatives of every series."""
@@ -338,6 +341,24 @@ class Optimum:
         values: dict[str, Any] = dict(zip(model.names, row.tolist(), strict=False))
         states = row[len(model.names) :].reshape(len(self.problem.runs), -1).T
         return values | dict(zip(model.states, states, strict=False))
+
+    def whiteness_p(self) -> float:
+        """Return the least p value of the Ljung–Box tests of all outputs ([S] Section 11.2)."""
+        pairs = zip(self.problem.exact(self.x), self.problem.whitened(self.x), strict=True)
+        return min(1.0 if exact else whiteness_p(errors) for exact, errors in pairs)
+
+    def sandwich(self, inverse: np.ndarray) -> np.ndarray:
+        """Return the covariance by the long-run covariance of the scores, summed over runs."""
+        problem, loose = self.problem, self.loose
+        lags = max(map(hac_lags, problem.whitened(self.x)))
+        weights = problem.equations(self.x).weights
+        total = np.zeros((problem.free.size,) * 2)
+        for of_run in problem.series:
+            pairs = zip(weights, of_run, strict=True)
+            scores = sum(weight * s.slopes * s.errors[:, None] for weight, s in pairs)
+            unknowns = of_run[0].unknowns
+            total[np.ix_(unknowns, unknowns)] += hac_matrix(scores, lags)
+        return inverse @ total[np.ix_(loose, loose)] @ inverse
 
     def inverse_information(self) -> np.ndarray:
         """
@@ -495,8 +516,8 @@ def rough_optima(
         optima = min(views, key=lambda view: _deviance_with_noise(view[0]))
     if robust:
         optima = _without_outliers(optima, **ROUGH)
-    best, every = optima[0], np.full(optima[0].problem.loads.size, True)
-    for held in _held_elsewhere(best, every, APART) if len(views) > 1 else ():
+    best = optima[0]
+    for held in _held_elsewhere(best, slice(None), APART) if len(views) > 1 else ():
         if held.deviance < best.deviance + SHALLOW:
             optima.append(search(best.problem, held.x, **ROUGH))
     return _sorted(optima)
@@ -548,11 +569,12 @@ def _deviance_with_noise(optimum: Optimum) -> float:
     return end.deviance
 
 
-def _held_elsewhere(optimum: Optimum, which: np.ndarray, shares: tuple) -> Iterator[Optimum]:
+def _held_elsewhere(optimum: Optimum, which: Any, shares: tuple) -> Iterator[Optimum]:
     """Yield searches with some loads held at shares of the way from their nearer end."""
     ends, inwards = ends_of_loads(optimum)
-    for share in shares if which.any() else ():
-        yield held_at(optimum, optimum.problem.loads[which], (ends + share * inwards)[which])
+    held = optimum.problem.loads[which]
+    for share in shares if held.size else ():
+        yield held_at(optimum, held, (ends + share * inwards)[which])
 
 
 def best_optimum(optimum: Optimum, robust: bool = True) -> Optimum:

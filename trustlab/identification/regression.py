@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from trustlab.identification.log import scaled_roots
 from trustlab.identification.model import IdentificationError
-from trustlab.identification.noise import scaled_roots
 from trustlab.identification.result import with_intervals
 from trustlab.models.checks import finite_array, flag, whole_number
 from trustlab.models.display import Result
@@ -45,11 +45,6 @@ class ArxResult(Result):
     def stderr(self) -> np.ndarray:
         """Standard errors, shape (p,)."""
         return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def sigma(self) -> float:
-        """Standard deviation of the prediction error, √(Σ e²/(n − p))."""
-        return float(np.sqrt(self.residuals @ self.residuals / self.degrees_of_freedom))
 
     @property
     def degrees_of_freedom(self) -> int:

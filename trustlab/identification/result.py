@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.identification.noise import ljung_box, pooled_correlation
+from trustlab.identification.log import ljung_box, pooled_correlation
 from trustlab.models.checks import counted, one_of, open_unit, whole_number
 from trustlab.models.display import Result, axes_or_new
 from trustlab.sessions.plots import shade_manual
@@ -47,10 +47,6 @@ class RunFit:
     fitted: dict[str, np.ndarray]
     errors: dict[str, np.ndarray]
     known: dict[str, np.ndarray]
-
-    def residual(self, output: str) -> np.ndarray:
-        """Return measured minus fitted."""
-        return self.measured[output] - self.fitted[output]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -164,7 +160,7 @@ class FitResult(Result):
             Which output; the first when not given.
         """
         name = self._output(output)
-        return [run.residual(name) for run in self.runs]
+        return [run.measured[name] - run.fitted[name] for run in self.runs]
 
     def _output(self, name: str | None) -> str:
         """Return a checked name of an output, by default the first."""

@@ -4,7 +4,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-from scipy import signal
 
 from trustlab.identification.fit import fit_runs
 from trustlab.identification.log import Run, joined
@@ -12,6 +11,7 @@ from trustlab.identification.model import IdentificationError, Model
 from trustlab.identification.regression import paired_runs
 from trustlab.identification.result import FitResult
 from trustlab.models.checks import positive, whole_number
+from trustlab.models.compiled import njit
 from trustlab.models.uav import TransferFunction
 
 # Remedies of `fit` whose arguments this function does not have.
@@ -89,10 +89,13 @@ def transfer_model(order: int, sample_time: float) -> Model:
     denominator = ("d_0",) if order == 1 else ("d_1", "d_0")
     states = ("velocity_0", "acceleration_0")[:order]
 
+    def response(run, d, gain, begin):
+        phi, gamma = TransferFunction(1.0, d).discrete(sample_time)
+        return respond(run["command"], phi, gain * gamma, np.array(begin))
+
     def simulate(run, gain, **values):
-        d = np.array([values[name] for name in denominator])
-        weights = np.array([gain, *(values[name] for name in states)])
-        return _responses(d, run["command"], sample_time) @ weights
+        d, begin = ([values[name] for name in names] for names in (denominator, states))
+        return response(run, d, gain, begin)
 
     def starts(runs, limits):
         velocity = joined(runs, "velocity")
@@ -100,11 +103,10 @@ def transfer_model(order: int, sample_time: float) -> Model:
         ways = []
         for d in _grid(order, runs, sample_time):
             # With the gain that suits the command's response best.
-            parts = [_responses(d, run["command"], sample_time)[:, 0] for run in runs]
-            response = np.concatenate(parts)
-            gain = float(np.linalg.lstsq(response[:, None], velocity)[0][0])
+            of_one = np.concatenate([response(run, d, 1.0, np.zeros(order)) for run in runs])
+            gain = np.linalg.lstsq(of_one[:, None], velocity)[0].item()
             values = {"gain": gain, **dict(zip(denominator, d, strict=True)), **first}
-            ways.append((np.sum((velocity - gain * response) ** 2), values))
+            ways.append((np.sum((velocity - gain * of_one) ** 2), values))
         return [values for _, values in sorted(ways, key=lambda way: way[0])[:STARTS]]
 
     def check(runs, limits):
@@ -129,18 +131,18 @@ def transfer_model(order: int, sample_time: float) -> Model:
     )
 
 
-def _responses(denominator: np.ndarray, u: np.ndarray, sample_time: float) -> np.ndarray:
-    """Return velocity per unit gain and per unit of each initial state, shape (N, 1 + n)."""
-    n = len(denominator)
-    phi, gamma = TransferFunction(1.0, tuple(denominator)).discrete(sample_time)
-    pulse = np.eye(1, u.size)[0]
-    responses = []
-    for k, inputs in enumerate(np.column_stack([gamma, np.eye(n)]).T):
-        top, poles = signal.ss2tf(phi, inputs[:, None], np.eye(1, n), [[0.0]])
-        # A command is seen a sample later, an initial state at once.
-        top, driving = (top[0], u) if k == 0 else (np.r_[top[0, 1:], 0.0], pulse)
-        responses.append(signal.lfilter(top, poles, driving))
-    return np.column_stack(responses)
+@njit
+def respond(command, phi, gamma, state):
+    """Return velocity, the first of the states, under a command that is held over each sample."""
+    velocity = np.empty(command.size)
+    for k in range(command.size):
+        velocity[k] = state[0]
+        before = state.copy()
+        for i in range(state.size):
+            state[i] = gamma[i] * command[k]
+            for j in range(state.size):
+                state[i] += phi[i, j] * before[j]
+    return velocity
 
 
 def _grid(order: int, runs: list[Run], sample_time: float) -> list[np.ndarray]:

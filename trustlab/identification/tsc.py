@@ -18,11 +18,18 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from trustlab.identification.fit import fit
-from trustlab.identification.log import LogSettings, Run, block_means, joined
+from trustlab.identification.log import (
+    NOT_WHITE,
+    LogSettings,
+    Run,
+    block_means,
+    joined,
+    whiteness_p,
+)
 from trustlab.identification.model import COORDINATES, IdentificationError, Model
-from trustlab.identification.noise import NOT_WHITE, whiteness_p
 from trustlab.identification.problem import SHALLOW, Problem, distinct, search
 from trustlab.identification.result import FitResult
 from trustlab.models.checks import positive
@@ -73,7 +80,7 @@ def _follow(mode, p_h, a, p_min, b, p_r0, p_r):
 
 def simulate_human(run: Run, a, beta, p_min, p_max, r0):
     """Return P_h of operators, shape (N, L)."""
-    p_h = run.scratch("p_h", a.size)
+    p_h = np.empty((run.size, a.size))
     _operate(run["mode"], a, beta, p_min, p_max, r0, p_h)
     return p_h
 
@@ -81,9 +88,8 @@ def simulate_human(run: Run, a, beta, p_min, p_max, r0):
 def simulate_robot(run: Run, a, p_min, p_max, p_h_max, p_r0, p_h=None):
     """Return P_r of robots, shape (N, L), under P_h: by default the measured one."""
     if p_h is None:
-        p_h = run.scratch("measured p_h", a.size)
-        p_h[:] = run["p_h"][:, None]
-    p_r = run.scratch("p_r", a.size)
+        p_h = np.tile(run["p_h"][:, None], a.size)
+    p_r = np.empty((run.size, a.size))
     b = gain_of_human_performance(a, p_min, p_max, p_h_max)
     _follow(run["mode"], p_h, a, p_min, b, p_r0, p_r)
     return p_r
@@ -102,33 +108,29 @@ def _joint(names: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, Any
     return {joint: values[own] for own, joint in names.items() if own in values}
 
 
-def _made(kind: type, contradiction: str, names: Mapping[str, str], values: Mapping) -> Any:
+# What is wrong with data that fit better with the ends of the range the other way round.
+CONTRADICTIONS = {
+    HumanModel: "human performance is not greatest between rest and full load, as (2.6) has it,",
+    RobotModel: "robot performance does not rise under manual control (is mode 1 there?), as (2.3) "
+    "has it,",
+}
+
+
+def made(kind: type, names: Mapping[str, str], values: Mapping) -> Any:
     """Return an operator or a robot of estimates, or say what about the data contradicts it."""
     low, high = names["p_min"], names["p_max"]
     if not values[high] > values[low]:
         raise IdentificationError(
-            f"{contradiction} in these data, or bounds rule it out: the fit has {high} = "
+            f"{CONTRADICTIONS[kind]} in these data, or bounds rule it out: the fit has {high} = "
             f"{values[high]:.4g}, not above {low} = {values[low]:.4g}",
             (low, high),
         )
     return kind(**_part(names, values))
 
 
-def _human_of(names: Mapping[str, str], values: Mapping[str, float]) -> HumanModel:
-    words = "human performance is not greatest between rest and full load, as (2.6) has it,"
-    return _made(HumanModel, words, names, values)
-
-
-def _robot_of(names: Mapping[str, str], values: Mapping[str, float]) -> RobotModel:
-    words = (
-        "robot performance does not rise under manual control (is mode 1 there?), as (2.3) has it,"
-    )
-    return _made(RobotModel, words, names, values)
-
-
 def build_tsc(**values: float) -> TscModel:
     """Return robot and operator."""
-    operator, robot = _human_of(OPERATOR, values), _robot_of(MACHINE, values)
+    operator, robot = made(HumanModel, OPERATOR, values), made(RobotModel, MACHINE, values)
     try:
         return TscModel(robot, operator)
     except ValueError as error:
@@ -192,11 +194,9 @@ def _operators(means: list[Run], limits: Mapping, length: int) -> Iterator[dict[
     power = np.maximum(np.sum(shape**2, axis=0) - p_h.size * middle**2, 1e-12)
     span = (p_h - p_h.mean()) @ shape / power
     p_min = p_h.mean() - span * middle
-    explained = np.where(span > 0.0, span**2 * power, 0.0)
-    order = np.argsort(-explained, kind="stable")
-    thirds = np.searchsorted(rates, a[order]) * 3 // rates.size
-    kinds = np.unique(np.column_stack([thirds, r0[order]]), axis=0, return_index=True)[1]
-    for k in order[np.sort(kinds)[:MOST_POINTS]]:
+    order = np.argsort(-np.where(span > 0.0, span**2 * power, 0.0), kind="stable")
+    kinds = pd.DataFrame({"third": np.searchsorted(rates, a) * 3 // rates.size, "r0": r0})
+    for k in kinds.loc[order].drop_duplicates().index[:MOST_POINTS]:
         # Each run begins where that suits this operator best.
         alike = np.flatnonzero((a == a[k]) & (beta == beta[k]))
         curves = [p_min[k] + span[k] * of_run[:, alike] for of_run in shapes]
@@ -217,12 +217,12 @@ def _operators(means: list[Run], limits: Mapping, length: int) -> Iterator[dict[
 def _robot(means: list[Run], limits: Mapping, p_h_max: float, drives: list) -> dict[str, Any]:
     """Return the robot that suits block means best under P_h, an array (blocks,) for each run."""
     # (2.3) is a regression of P_r on P_r, M P_h and 1, all a block before.
-    rows = []
-    for run, p_h in zip(means, drives, strict=True):
-        p_r, drive = run["p_r"], run["mode"] * p_h
-        rows.append(np.column_stack([p_r[:-1], drive[:-1], np.ones(p_r.size - 1), p_r[1:]]))
-    *design, target = np.concatenate(rows).T
-    a, b, c = np.linalg.lstsq(np.column_stack(design), target)[0]
+    before = [
+        np.column_stack([run["p_r"], run["mode"] * p_h, np.ones(run.size)])[:-1]
+        for run, p_h in zip(means, drives, strict=True)
+    ]
+    after = np.concatenate([run["p_r"][1:] for run in means])
+    a, b, c = np.linalg.lstsq(np.concatenate(before), after)[0]
     a = float(np.clip(a, *limits["a"]))
     low = c / (1.0 - a)
     first = [run["p_r"][0] for run in means]
@@ -238,8 +238,8 @@ def _refined(model: Model, points_of: Callable, runs: list[Run], limits: Mapping
 
     def over(values: dict, samples: float) -> dict:
         """Return values with rates over so many samples in place of one."""
-        powers = {name: values[name] ** samples for name in rates}
-        return values | {n: np.clip(power, edges.low, edges.high) for n, power in powers.items()}
+        powers = {n: np.clip(values[n] ** samples, edges.low, edges.high) for n in rates}
+        return values | powers
 
     coarse = over({name: np.array(ends) for name, ends in limits.items()}, length)
     problem = Problem(model, means, coarse)
@@ -335,7 +335,7 @@ HUMAN = Model(
     simulate=simulate_human,
     lanes=True,
     coordinates=COORDINATE,
-    build=lambda **values: _human_of({name: name for name in values}, values),
+    build=lambda **values: made(HumanModel, {name: name for name in values}, values),
     derived={"b": lambda a, **_: 1.0 - a},
     hints=HINTS,
 )
@@ -351,7 +351,7 @@ ROBOT = Model(
     inputs=("mode", "p_h"),
     lanes=True,
     coordinates={"a": "rate"},
-    build=lambda **values: _robot_of(ALONE, values),
+    build=lambda **values: made(RobotModel, ALONE, values),
     derived={"b": gain_of_human_performance},
     hints=_joint(ALONE, HINTS),
     check=_check_robot,
@@ -576,6 +576,6 @@ OF_ROBOT = replace(
         ALONE,
         ["a", "p_min", "p_max", "p_h_max", "human_a", "human_beta", "human_p_min"],
     ),
-    build=lambda human_a, human_beta, human_p_min, **values: _robot_of(ALONE, values),
+    build=lambda **values: made(RobotModel, ALONE, values),
     check=_check_robot,
 )

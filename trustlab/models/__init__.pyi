@@ -1,9 +1,5 @@
 from .published import published_models as published_models, published_table as published_table
-from .trust import (
-    LogisticScaling as LogisticScaling,
-    StepScaling as StepScaling,
-    TrustModel as TrustModel,
-)
+from .trust import TrustModel as TrustModel
 from .tsc import (
     HumanModel as HumanModel,
     RobotModel as RobotModel,

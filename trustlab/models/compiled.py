@@ -14,7 +14,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,29 +34,20 @@ def njit(function: Callable | None = None, **options: Any) -> Any:
     """
     if function is None:
         return functools.partial(njit, **options)
-    with _numba_caches_for(function):
+    # numba decides here where it caches; what the user has set for other packages stays.
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(_room_cache(function.__module__.split(".")[1]))
+    try:
         # Without the wrapper for C, which would take a tenth of the time of compilation.
         return numba.njit(cache=True, no_cfunc_wrapper=True, **options)(function)
+    finally:
+        numba.config.CACHE_DIR = before
 
 
 # For what only compiled functions call: without the wrapper for Python, which takes a fifth of the
 # time of compilation, and made part of its caller, as a call copies all constants, a fifth of the
 # time of a drive. Called from Python it ends the process; tests call `.py_func`.
 inner = functools.partial(njit, no_cpython_wrapper=True, forceinline=True)
-
-
-@contextlib.contextmanager
-def _numba_caches_for(function: Callable) -> Iterator[None]:
-    """
-    Point numba to the cache of a function's room while it decides where to cache; what the user has
-    set for other packages stays.
-    """
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(_room_cache(function.__module__.split(".")[1]))
-    try:
-        yield
-    finally:
-        numba.config.CACHE_DIR = before
 
 
 @functools.cache

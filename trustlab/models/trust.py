@@ -1,4 +1,4 @@
-"""Two-way trust from performance, (3.2)-(3.4), and the scalings it sets, (3.5)-(3.6)."""
+"""Two-way trust from performance, (3.2)-(3.4), and the scales that follow it, (3.5)."""
 
 import math
 from dataclasses import dataclass
@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from trustlab.models.checks import (
+    Checked,
+    Share,
     array_between,
     between,
-    finite_array,
     finite_number,
-    flag,
     positive,
     set_checked,
     set_in_order,
@@ -52,7 +52,7 @@ def trust_run(share, decay, gain, start):
 
 
 @dataclass(frozen=True)
-class TrustModel:
+class TrustModel(Checked):
     """
     Trust that grows with performance and decays with its own level, (3.2) and (3.3).
 
@@ -90,8 +90,8 @@ class TrustModel:
     0.509901
     """
 
-    a: float
-    b: float
+    a: Share
+    b: Share
     t_min: float = 0.0
     t_max: float = 1.0
     p_min: float = 0.0
@@ -99,10 +99,11 @@ class TrustModel:
     allow_unbounded: bool = False
 
     def __post_init__(self):
-        set_checked(self, _sensitivity, "a", "b")
+        super().__post_init__()
+        set_checked(self, positive, "a", "b")
         set_in_order(self, "t_min", "t_max")
         set_in_order(self, "p_min", "p_max")
-        if not flag("allow_unbounded", self.allow_unbounded) and self.b > self.a:
+        if self.b > self.a and not self.allow_unbounded:
             raise ValueError(
                 f"with b = {self.b} > a = {self.a} trust settles above t_max at full performance, "
                 "so that (3.4) does not hold; choose b ≤ a, or ask for it with "
@@ -194,151 +195,3 @@ class TrustModel:
 
     def _share(self, performance: Any) -> Any:
         return (performance - self.p_min) / (self.p_max - self.p_min)
-
-
-def _sensitivity(name: str, value: Any) -> float:
-    number = finite_number(name, value)
-    if not 0.0 < number <= 1.0:
-        raise ValueError(f"{name} must lie in (0, 1], got {number}")
-    return number
-
-
-class _Scaling:
-    """What both scalings share: bounds, the middle of the range of trust, and their checks."""
-
-    low: float
-    high: float
-    midpoint: float | None
-    t_min: float
-    t_max: float
-
-    def __post_init__(self):
-        set_checked(self, finite_number, "low", "high")
-        if self.low > self.high:
-            raise ValueError(
-                f"low must not exceed high, got low = {self.low} and high = {self.high}"
-            )
-        if not self.low > 0.0:
-            raise ValueError(
-                f"low must be positive, got {self.low}: a scale of zero leaves one-way "
-                "teleoperation (3.1)"
-            )
-        set_in_order(self, "t_min", "t_max")
-        if self.midpoint is None:
-            self.__dict__["midpoint"] = (self.t_min + self.t_max) / 2.0
-        set_checked(self, finite_number, "midpoint")
-        if not self.t_min < self.midpoint < self.t_max:
-            raise ValueError(
-                f"midpoint must lie strictly between t_min = {self.t_min} and t_max = "
-                f"{self.t_max}, got {self.midpoint}"
-            )
-
-    def value(self, trust: float | np.ndarray) -> Any:
-        """
-        Return the scale at a trust.
-
-        Parameters
-        ----------
-        trust : float or array_like, shape (N,)
-            Trust; the scale is defined outside its range as well.
-
-        Returns
-        -------
-        float or numpy.ndarray, shape (N,)
-            The scale, between low and high.
-        """
-        if np.ndim(trust) == 0:
-            return self._scale(finite_number("trust", trust))
-        return np.array([self._scale(level) for level in finite_array("trust", trust)])
-
-    def _scale(self, trust: float) -> float:
-        raise NotImplementedError
-
-
-@dataclass(frozen=True)
-class LogisticScaling(_Scaling):
-    """
-    A scale that falls smoothly from `high` to `low` as trust grows, equation (3.5).
-
-    α = high − (high − low)/(1 + exp(−s (T − T_mid)/(T_max − T_min))). With T_mid in the middle
-    it ends within (high − low)/(1 + exp(s/2)) of its bounds, 0.7 % of the range for s = 10.
-
-    Parameters
-    ----------
-    low, high : float
-        Bounds of the scale, 0 < low ≤ high.
-    steepness : float
-        s; at least 10 so that the bounds are nearly met (Section 3.2).
-    midpoint : float, optional
-        Trust at which the scale is half-way; the middle of the range when not given.
-    t_min, t_max : float
-        Range of trust.
-
-    Raises
-    ------
-    ValueError
-        If low is not positive (that would make teleoperation unilateral), bounds are in the wrong
-        order, s is below 10, or the midpoint is outside the range of trust.
-
-    Examples
-    --------
-    >>> import trustlab as tl
-    >>> tl.models.LogisticScaling(low=0.05, high=1.0).value(0.5)
-    0.525
-    """
-
-    low: float
-    high: float
-    steepness: float = 10.0
-    midpoint: float | None = None
-    t_min: float = 0.0
-    t_max: float = 1.0
-
-    def __post_init__(self):
-        super().__post_init__()
-        set_checked(self, finite_number, "steepness")
-        if self.steepness < 10.0:
-            raise ValueError(
-                "steepness must be at least 10, so that the scale nearly meets its bounds, got "
-                f"{self.steepness}"
-            )
-
-    def _scale(self, trust):
-        steepness = self.steepness / (self.t_max - self.t_min)
-        return logistic_scale(self.low, self.high, steepness, self.midpoint, trust)
-
-
-@dataclass(frozen=True)
-class StepScaling(_Scaling):
-    """
-    A scale that drops from `high` to `low` where trust reaches a threshold, equation (3.6).
-
-    Parameters
-    ----------
-    low, high : float
-        Bounds of the scale, 0 < low ≤ high; it is low at the threshold itself.
-    midpoint : float, optional
-        The threshold of trust, strictly inside its range; the middle when not given.
-    t_min, t_max : float
-        Range of trust.
-
-    Raises
-    ------
-    ValueError
-        If low is not positive, bounds are in the wrong order, or the threshold is outside the range
-        of trust.
-
-    Notes
-    -----
-    Printed as α' = α_max + (α_min − α_max) H(T − b): falling in trust, as (3.5) is (Remark 9), H(0)
-    = 1.
-    """
-
-    low: float
-    high: float
-    midpoint: float | None = None
-    t_min: float = 0.0
-    t_max: float = 1.0
-
-    def _scale(self, trust):
-        return self.low if trust >= self.midpoint else self.high

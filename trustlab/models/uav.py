@@ -58,10 +58,9 @@ class TransferFunction:
 
     def matrices(self) -> tuple[np.ndarray, np.ndarray]:
         """Return A, shape (n, n), and B, shape (n,), of the state (v) or (v, dv/dt)."""
-        if self.order == 1:
-            return np.array([[-self.denominator[0]]]), np.array([self.gain])
-        d_1, d_0 = self.denominator
-        return np.array([[0.0, 1.0], [-d_0, -d_1]]), np.array([0.0, self.gain])
+        transition = np.eye(self.order, k=1)
+        transition[-1] = np.negative(self.denominator[::-1])
+        return transition, self.gain * np.eye(self.order)[-1]
 
     def discrete(self, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -15,8 +15,7 @@ from scipy import stats
 
 import trustlab as tl
 from tests.identification.posterior.simulated_logs import drawn_case, model_of
-from trustlab.identification.log import read_runs
-from trustlab.identification.noise import Noise, filter_columns, process, whiten
+from trustlab.identification.log import Noise, filter_columns, process, read_runs, whiten
 from trustlab.identification.posterior import density as kernel, sampling
 from trustlab.identification.posterior.density import (
     as_prior,

@@ -26,9 +26,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.log import in_rows
+from trustlab.identification.log import HALF_WIDTH, filter_columns, in_rows, process
 from trustlab.identification.model import COORDINATES, Coordinate, IdentificationError
-from trustlab.identification.noise import HALF_WIDTH, filter_columns, process
 from trustlab.identification.problem import Problem
 from trustlab.identification.tsc import TSC
 from trustlab.models.checks import finite_array, finite_numbers, of_class, one_of, positive
@@ -214,9 +213,12 @@ class Prior:
                     raise ValueError(f"median of {name} must lie {limits}, got {median}")
         if self.correlation is not None:
             matrix = finite_numbers("correlation", self.correlation)
-            unit = matrix.shape == (SHARED, SHARED) and np.allclose(np.diag(matrix), 1.0)
-            even = unit and np.allclose(matrix, matrix.T)
-            if not (even and np.linalg.eigvalsh(matrix)[0] > 1e-12):
+            if not (
+                matrix.shape == (SHARED, SHARED)
+                and np.allclose(np.diag(matrix), 1.0)
+                and np.allclose(matrix, matrix.T)
+                and np.linalg.eigvalsh(matrix)[0] > 1e-12
+            ):
                 raise ValueError(
                     "correlation must be a symmetric, positive definite "
                     f"({SHARED}, {SHARED}) matrix with unit diagonal"
@@ -251,14 +253,10 @@ class Prior:
         mean = np.array([SCALES[kind].to(getattr(self, kind)[0]) for kind in kinds])
         deviation = np.array([getattr(self, kind)[1] for kind in kinds])
         whitening = np.diag(1.0 / deviation)
-        factor = np.tril(np.linalg.inv(factor_of(self)))
-        whitening[:SHARED, :SHARED] = factor / deviation[:SHARED]
+        if self.correlation is not None:
+            factor = np.tril(np.linalg.inv(np.linalg.cholesky(self.correlation)))
+            whitening[:SHARED, :SHARED] = factor / deviation[:SHARED]
         return mean, deviation, whitening
-
-
-def factor_of(prior: Prior) -> np.ndarray:
-    """Return the Cholesky factor of the correlation of the first seven."""
-    return np.linalg.cholesky(np.eye(SHARED) if prior.correlation is None else prior.correlation)
 
 
 def prior_of(mean: np.ndarray, covariance: np.ndarray, prior: Prior | None = None) -> Prior:

@@ -30,7 +30,6 @@ from trustlab.identification.posterior.density import (
     Prior,
     admissible,
     as_prior,
-    factor_of,
     physical,
     prior_of,
 )
@@ -346,22 +345,23 @@ def fit_population(
 
 def _pooled(posteriors: list[Posterior], prior: Prior, rng: np.random.Generator) -> Pool:
     """Return draws of the population; each person's own prior is divided out."""
-    centre, deviation = np.array(prior.vectors(0)[:2])[:, :SHARED]
-    draws, base = [], []
-    for posterior in posteriors:
-        target, thetas = posterior.target, posterior.thetas[:, :SHARED]
-        whitened = (thetas - target.mean[:SHARED]) @ target.whitening[:SHARED, :SHARED].T
-        draws.append((thetas - centre) / deviation @ np.linalg.inv(factor_of(prior)).T)
-        base.append(0.5 * (whitened**2).sum(axis=1))
-    return pool(draws, base, rng)
+    mean, _, whitening = prior.vectors(0)
+    draws = [_whitened(each.thetas, mean, whitening) for each in posteriors]
+    own = [_whitened(each.thetas, each.target.mean, each.target.whitening) for each in posteriors]
+    return pool(draws, [0.5 * (z**2).sum(axis=1) for z in own], rng)
+
+
+def _whitened(thetas: np.ndarray, mean: np.ndarray, whitening: np.ndarray) -> np.ndarray:
+    """Return the first seven coordinates of rows of θ as standard normal ones."""
+    return (thetas[:, :SHARED] - mean[:SHARED]) @ whitening[:SHARED, :SHARED].T
 
 
 def _new_people(pooled: Pool, prior: Prior, rng: np.random.Generator) -> np.ndarray:
     """Return a person of each draw of the population, θ of those who make a model."""
-    centre, deviation = np.array(prior.vectors(0)[:2])[:, :SHARED]
+    mean, _, whitening = prior.vectors(0)
     normal = rng.standard_normal(pooled.means.shape)
     z = pooled.means + np.einsum("sij,sj->si", np.linalg.cholesky(pooled.covariances), normal)
-    thetas = centre + deviation * (z @ factor_of(prior).T)
+    thetas = mean[:SHARED] + z @ np.linalg.inv(whitening[:SHARED, :SHARED]).T
     return thetas[admissible(thetas)]
 
 

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from trustlab.identification.noise import NOT_WHITE
+from trustlab.identification.log import NOT_WHITE
 from trustlab.identification.posterior.density import SHARED, Prior, Target, simulate
 from trustlab.identification.tsc import TSC, build_tsc
 from trustlab.models.checks import open_unit

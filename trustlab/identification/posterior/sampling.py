@@ -22,9 +22,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special, stats
 
-from trustlab.identification.log import LogSettings, log_settings, never_switches, read_runs
+from trustlab.identification.log import (
+    LogSettings,
+    log_settings,
+    never_switches,
+    read_runs,
+    whiteness_p,
+)
 from trustlab.identification.model import IdentificationError
-from trustlab.identification.noise import whiteness_p
 from trustlab.identification.posterior.density import (
     DELAY,
     FAR,
