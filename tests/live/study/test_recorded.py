@@ -69,7 +69,7 @@ def test_measures_are_those_of_the_files(rehearsed):
     assert measures["synthetic"].all()
     for (code, condition), row in measures.iterrows():
         logs = map(entries, (rehearsed.plan.folder / code).glob("*-drive.jsonl"))
-        header, *rest = next(log for log in logs if log[0]["condition"] == condition)
+        header, *rest = next(log for log in logs if log[0]["settings"]["condition"] == condition)
         rows = [row for entry in rest for row in entry.get("rows", [])]
         table = pd.DataFrame(rows, columns=header["settings"]["columns"])
         assert row["p_r"] == pytest.approx(table["p_r"].mean(), rel=1e-13)
