@@ -77,7 +77,7 @@ class LiveCondition:
     >>> import trustlab as tl
     >>> slow = tl.LiveCondition("slow", suggestions="tsc", forced=True, notice=10.0)
     >>> tl.LiveStudy(tempfile.mkdtemp() + "/notices", ["C3", slow], 4, rehearsal=True)
-    LiveStudy('notices': 4 participants, C3, slow)
+    <Live study notices: 4 participants, C3, slow; rehearsal by scripted hands>
 
     A busy operator hands over, a rested one takes over again:
 
