@@ -28,7 +28,6 @@ from trustlab.models.files import path_of, writing
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.settings import (
-    Guidance,
     LoopSettings,
     Scheme,
     scheme_named,
@@ -75,27 +74,24 @@ def module_of(*names: str) -> str:
     return re.sub(r'^import [^"]* from "\./[a-z_]+\.js";\n', "", text, flags=re.M)
 
 
-def state_folder() -> Path:
-    """Return where logs of widgets lie: under the user's state folder."""
-    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(home) / "trustlab" / "live"
-
-
 def goes_on(path: Path, settings: dict, participant: str) -> bool:
     """Whether a log is missing, or holds the beginning of a run with these settings."""
     if not path.exists() or not path.stat().st_size:
         return True
     record, _, _ = read_record(path)
-    if record is None or record.header.get("participant") != participant:
-        return False
-    return record.settings == settings and not record.end and not record.other_maker
+    same = record is not None and record.header.get("participant") == participant
+    return same and record.settings == settings and not record.end and not record.other_maker
 
 
 def place_of(settings: dict, participant: str) -> Path:
-    """Return the log of a run with these settings that is not over, or a new one."""
+    """
+    Return the log of a run with these settings that is not over, or a new one, under the user's
+    state folder.
+    """
+    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     text = digest(json.dumps([settings, participant], sort_keys=True))[:12]
-    name = f"{settings['condition']}-{text}"
-    paths = (state_folder() / f"{name}-{number}.jsonl" for number in itertools.count(1))
+    name = f"trustlab/live/{settings['condition']}-{text}"
+    paths = (Path(home, f"{name}-{number}.jsonl") for number in itertools.count(1))
     return next(path for path in paths if goes_on(path, settings, participant))
 
 
@@ -113,7 +109,6 @@ class LiveWidget(anywidget.AnyWidget):
         settings: dict,
         participant: str | int,
         log: str | Path | None,
-        language: str,
     ):
         check_participant(participant)
         self.participant = str(participant)
@@ -122,13 +117,11 @@ class LiveWidget(anywidget.AnyWidget):
         path = path.absolute()
         with writing(path):
             self.trial = self._trial(path, task, settings)
-        super().__init__(words=read_words(language), path=str(path))
+        super().__init__(words=read_words(), path=str(path))
         self.on_msg(self._answer)
 
     def _trial(self, path: Path, task: LiveTask, settings: dict) -> Trial:
         """Return the trial of a log, which goes on where a cell is run again."""
-        if path.is_dir():
-            raise ValueError(f"log must be a file, and {path} is a folder")
         path.parent.mkdir(parents=True, exist_ok=True)
         if not goes_on(path, settings, self.participant):
             raise ValueError(f"{path} holds another run, or one that is over; name another log")
@@ -198,8 +191,6 @@ class LiveGroundRobot(LiveWidget):
     log : path-like, optional
         The file of the run's log; one under the user's state folder when not given. Each command
         is on the disk before it is done.
-    language : {"en", "de"}
-        Language of what the widget says.
 
     Attributes
     ----------
@@ -244,7 +235,6 @@ class LiveGroundRobot(LiveWidget):
         participant: str | int = "me",
         seed: int = 0,
         log: str | Path | None = None,
-        language: str = "en",
     ):
         own = condition if isinstance(condition, LiveCondition) else None
         name = own.name if own else one_of("condition", condition, CONDITIONS, "a LiveCondition")
@@ -257,7 +247,7 @@ class LiveGroundRobot(LiveWidget):
         known = {"model": asdict(model), "thresholds": pair}
         config = ground_robot.drive_config(content, name, seed, known)
         ground_robot.warn_if_too_short(config)
-        super().__init__(ground_robot.TASK, config, participant, log, language)
+        super().__init__(ground_robot.TASK, config, participant, log)
 
     def fit(self) -> "FitResult":
         """
@@ -299,8 +289,6 @@ class LiveTracking(LiveWidget):
         allocates.
     study : {"preliminary", "main"} or LoopSettings
         Printed settings, or own ones.
-    guidance : {"at_operator", "through_channel"} or Guidance
-        How the guiding force reaches the device, and what keeps it passive.
     delay : float, callable, Delay, or a pair of these, optional
         Delay both ways [s], or (to the robot, back); random walks of the study when not given. The
         kernel's round trip comes on top.
@@ -360,7 +348,6 @@ class LiveTracking(LiveWidget):
         self,
         scheme: str | Scheme = "TMIG",
         study: str | LoopSettings = "main",
-        guidance: str | Guidance = "at_operator",
         delay: Any = None,
         seed: int = 0,
         duration: float = 120.0,
@@ -371,12 +358,11 @@ class LiveTracking(LiveWidget):
         self.scheme, loop = scheme_named(scheme), study_named(study)
         if task is not None:
             of_class("task", task, TrackingTask)
-        given = {"scheme": scheme, "study": study, "guidance": guidance, "task": task}
+        given = {"scheme": scheme, "study": study, "task": task}
         parts = {name: part for name, part in given.items() if not isinstance(part, str | None)}
         if delay is not None:
             parts["delay"] = delay
-        where = guidance.where if isinstance(guidance, Guidance) else guidance
-        settings = TeleoperationSettings(duration=duration, study=loop.study, guidance=where)
+        settings = TeleoperationSettings(duration=duration, study=loop.study)
         seed = whole_seed(seed, 2**32 - 1)
         config = teleoperation.flight_config(settings.as_json(), self.scheme.name, seed, task=task)
         # What parts of your own are recognized by after a restart of the kernel, where they lie
@@ -385,7 +371,7 @@ class LiveTracking(LiveWidget):
         names = {name: re.sub(" at 0x[0-9a-f]+", "", text) for name, text in texts.items()}
         facts = {"scheme": self.scheme.title.replace("force feedback", "cues"), **FACTS}
         config |= {"parts": names, "facts": facts}
-        super().__init__(teleoperation.task_of(**parts), config, participant, log, "en")
+        super().__init__(teleoperation.task_of(**parts), config, participant, log)
 
     @property
     def energy(self) -> pd.DataFrame:
@@ -416,8 +402,6 @@ class LiveTeam(LiveWidget):
         Of start, goals, and which robot can do what.
     log : path-like, optional
         The file of the run's log; one under the user's state folder when not given.
-    language : {"en", "de"}
-        Language of what the widget says.
 
     Attributes
     ----------
@@ -452,7 +436,6 @@ class LiveTeam(LiveWidget):
         participant: str | int = "me",
         seed: int = 0,
         log: str | Path | None = None,
-        language: str = "en",
     ):
         task, parts = team.TASK, {}
         if hasattr(condition, "leader"):
@@ -466,4 +449,4 @@ class LiveTeam(LiveWidget):
         config = team.team_config(content, condition, seed)
         config |= {"parts": parts, "late": settings.least_delay}
         config["facts"] |= parts
-        super().__init__(task, config, participant, log, language)
+        super().__init__(task, config, participant, log)

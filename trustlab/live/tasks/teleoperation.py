@@ -19,7 +19,6 @@ from trustlab.models.checks import one_of
 from trustlab.models.simulation import DivergenceError, PartError
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Session
-from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.testbeds.uav_tracking import TASKS, TeleoperationLoop, TrackingTask
 
 COMMANDS = ("pointer_x", "pointer_y", "alpha_choice")
@@ -62,8 +61,6 @@ class TeleoperationSettings(HandSettings):
         Length of the training flight, in M [s].
     study : {"main", "preliminary"}
         Printed settings of device, channel, trust and target.
-    guidance : {"at_operator", "through_channel"}
-        How the guiding force reaches the device.
     least_delay : float
         How late pictures are shown at least [s], so that connections make no difference among
         people; the camera's delay counts where it is longer.
@@ -83,11 +80,9 @@ class TeleoperationSettings(HandSettings):
     """
 
     study: str = "main"
-    guidance: str = "at_operator"
 
     def __post_init__(self):
         one_of("study", self.study, TASKS)
-        one_of("guidance", self.guidance, GUIDANCE)
         super().__post_init__()
 
 
@@ -96,7 +91,7 @@ class LiveFlight:
 
     def __init__(self, config: dict, **parts: Any):
         task, reach = TASKS[config["study"]], REACH[config["study"]]
-        arguments = {name: config[name] for name in ("scheme", "study", "guidance", "seed")}
+        arguments = {name: config[name] for name in ("scheme", "study", "seed")}
         arguments |= {"trust": trust_of(config), "duration": config["samples"] * PERIOD}
         arguments |= {"operator": Teleoperator("live", reach=reach, noise=0.0), "task": task}
         self.loop = TeleoperationLoop(**{**arguments, **parts})
@@ -142,16 +137,14 @@ class LiveFlight:
         if self.failed:  # its numbers may be infinite
             return about | {"over": self.failed}
         if self.last is None:
-            nothing = [0.0, 0.0]
-            return about | dict.fromkeys(("target", "robot", "device", "force", "guide"), nothing)
-        now, scaling = self.last, -self.settings.force_scaling
+            return about | {name: [0.0, 0.0] for name in ("target", "robot", "device", "guide")}
+        now = self.last
         error = now["error"][:2]
         places = {
             "target": error,
             "robot": now["robot"][:2],
             "device": now["device"][:2] / self.reach,
-            "force": scaling * now["f_m"][:2],
-            "guide": scaling * now["guide"][:2],
+            "guide": -self.settings.force_scaling * now["guide"][:2],
         }
         shown = about | {name: np.round(place, 5).tolist() for name, place in places.items()}
         seen = bool((np.abs(error) <= self.task.view).all())
@@ -169,15 +162,14 @@ def flight_config(
     allocates = condition == "MMI"
     task = task or TASKS[content["study"]]
     return hand_config(
-        "teleoperation",
         content,
         condition,
         seed,
         [0.0, 1.0] if allocates else [-1.0, -1.0],
+        live_task="teleoperation",
         scheme="M" if condition == "training" else condition,
         allocates=allocates,
         study=content["study"],
-        guidance=content["guidance"],
         half=task.view if task.view < UNBOUNDED else task.size_x,
         columns=COLUMNS,
         late=task.camera_delay,
