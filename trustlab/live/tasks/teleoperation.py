@@ -122,8 +122,8 @@ class LiveFlight:
             for _ in range(0 if self.failed else self.every):
                 self.loop.step(hand=hand, alpha=alpha)
         except (DivergenceError, PartError) as error:
-            self.failed = str(error)  # the row of before stays
-        else:
+            self.failed = str(error)
+        if not self.failed:  # else the row of before stays
             run = self.loop.simulation
             self.last = run.log[run.done - 1]
             vectors = np.concatenate([self.last[name][:2] for name in VECTORS])
