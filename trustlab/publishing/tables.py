@@ -16,8 +16,6 @@ from trustlab.studies.words import P_VALUE, decimals_of
 ESTIMATE = re.compile(
     "stderr|se|M|ci_high|ci_low|difference|estimate|mean|mean_difference|simulated|value"
 )
-# "0.3 to 0.5" and "0.3 ± 0.1" stay on a line.
-BETWEEN = re.compile(r"(?<=\d) (to|±) (?=[-−\d])")
 LEAST_P = 0.001
 # Significant digits of a typical number of a column, of a standard error, and of numbers whose
 # sizes are too different for the same decimals: by more than so many powers of ten.
@@ -53,10 +51,7 @@ def table_html(frame: pd.DataFrame) -> str:
             values = html.unescape(re.sub("<[^>]*>", "", values))
             caption = f"{caption} In every row: {values}."
         frame = frame.loc[:, ~same]
-    errors = _errors(frame) if plain else None
-    # By position, as two columns may have the same head.
-    columns = [_column(name, column, errors) for name, column in frame.items()]
-    texts = pd.DataFrame(dict(enumerate(columns)), frame.index).set_axis(frame.columns, axis=1)
+    texts = frame.apply(_texts, errors=_errors(frame) if plain else None)
     level = f"{100.0 * frame.attrs.get('confidence', 0.95):g} % CI"
     heads = texts.rename(columns=lambda name: html.escape(_word(name).replace("95 % CI", level)))
     table = heads.to_html(
@@ -80,8 +75,7 @@ def _with_row_names(frame: pd.DataFrame) -> pd.DataFrame:
 
 def _constant(frame: pd.DataFrame) -> np.ndarray:
     """Mark columns that are the same in every row of three or more, unless most of them are."""
-    columns = (column for _, column in frame.items())
-    same = np.array([x.notna().all() and len({*x.astype(str)}) == 1 for x in columns], dtype=bool)
+    same = frame.apply(lambda x: x.notna().all() and len({*x.astype(str)}) == 1).to_numpy(bool)
     return same & (len(frame) >= 3) & (2 * same.sum() <= same.size)
 
 
@@ -93,14 +87,15 @@ def _errors(frame: pd.DataFrame) -> pd.Series | None:
     return errors
 
 
-def _column(head: object, column: pd.Series, errors: pd.Series | None) -> list[str]:
-    """Return the texts of a column; under several heads, its name is the last."""
-    name = str(head[-1] if isinstance(head, tuple) else head)
+def _texts(column: pd.Series, errors: pd.Series | None) -> pd.Series:
+    """Return a column as texts; under several heads, its name is the last."""
+    name = str(column.name[-1] if isinstance(column.name, tuple) else column.name)
     p = P_VALUE.fullmatch(name) is not None
     decimals = [common_decimals(column) if column.dtype.kind == "f" else None] * len(column)
     if errors is not None and ESTIMATE.fullmatch(name):
         decimals = [common_decimals([error], DIGITS_OF_ERROR) for error in errors]
-    return [cell(value, p, count) for value, count in zip(column, decimals, strict=True)]
+    texts = [cell(value, p, count) for value, count in zip(column, decimals, strict=True)]
+    return pd.Series(texts, column.index, dtype=object)
 
 
 def common_decimals(values, digits: int = DIGITS) -> int | None:
@@ -127,8 +122,7 @@ def cell(value: object, p: bool = False, decimals: int | None = None) -> str:
     if pd.api.types.is_scalar(value) and pd.isna(value):
         return "–"
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        text = CELLS.get(str(value), str(value))
-        return BETWEEN.sub("\u00a0\\1\u00a0", html.escape(text))
+        return html.escape(CELLS.get(str(value), str(value)))
     if isinstance(value, numbers.Integral):
         return str(value)
     number = float(value) + 0.0  # without the minus of a zero
