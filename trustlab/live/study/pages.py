@@ -295,8 +295,10 @@ def _changed(
         skip = flag(f"skip of {where}", table.pop("skip", False))
         if skip and name in NEEDED:
             raise ValueError(f"{where} cannot be left out of a study")
-        changed = tables | {name: tables[name] | table}
-        return {key: page for key, page in changed.items() if key != name or not skip}
+        tables[name] |= table
+        if skip:
+            del tables[name]
+        return tables
     at_end = after == "debriefing"
     if bool(before) == bool(after) or anchor not in list(tables) or "section" in table or at_end:
         raise ValueError(
@@ -307,9 +309,9 @@ def _changed(
         anchor = behind[anchor]
     if after:
         behind[anchor] = name
-    order = list(tables)
-    order.insert(order.index(anchor) + bool(after), name)
-    return {key: table if key == name else tables[key] for key in order}
+    pages = list(tables.items())
+    pages.insert(list(tables).index(anchor) + bool(after), (name, table))
+    return dict(pages)
 
 
 def _page(where: str, name: str, table: dict) -> StudyPage:

@@ -283,16 +283,14 @@ class RecordedStudy(Result):
             A row per answer: participant, position and condition (NaN and None for pages that
             belong to no drive), page, item, answer (NaN where it is words), text.
         """
-        rows = [
-            (code, step.position, step.condition, step.page.name, item, answer)
-            for code, record in self.records.items()
-            for step in record.steps
-            for item, answer in record.progress.answers(step.index).items()
-        ]
-        frame = pd.DataFrame(rows, columns=[*KEYS, "page", "item", "answer"])
-        words = frame["answer"].map(lambda answer: isinstance(answer, str)).astype(bool)
-        frame["text"] = frame["answer"].where(words, "")
-        frame["answer"] = frame["answer"].mask(words)
+        rows = []
+        for code, record in self.records.items():
+            for step in record.steps:
+                place = (code, step.position, step.condition, step.page.name)
+                for item, answer in record.progress.answers(step.index).items():
+                    parts = (np.nan, answer) if isinstance(answer, str) else (answer, "")
+                    rows.append((*place, item, *parts))
+        frame = pd.DataFrame(rows, columns=[*KEYS, "page", "item", "answer", "text"])
         types = {"position": float, "answer": float, "text": "str"}
         return self._labelled(frame.astype(types), group=False)
 
@@ -306,14 +304,14 @@ class RecordedStudy(Result):
         answers = answers[~answers["participant"].isin(changed)]
         scores = {}
         for page in self.plan.pages:
-            items = [item.name for item in page.scales]
-            rows = answers[(answers["page"] == page.name) & answers["item"].isin(items)]
+            rows = answers[answers["page"] == page.name]
             if page.scored and len(rows):
+                form = page.questionnaire
+                rows = rows[rows["item"].isin(form.items)]
                 condition = "condition" if page.section == "each" else None
-                keys = ["participant", condition] if condition else ["participant"]
+                keys = ["participant", "condition"] if condition else ["participant"]
                 wide = rows.pivot_table("answer", keys, "item", sort=False).reset_index()
                 wide.attrs = answers.attrs
-                form = page.questionnaire
                 scores[page.name] = score(wide, form, subject="participant", condition=condition)
         return scores
 
