@@ -498,7 +498,7 @@ class StudyServer:
             idle_connection_timeout=HEADER_TIME,
             body_timeout=30.0,
         )
-        listener.most = min(MOST_CONNECTIONS, max(self.free_files, 10))
+        listener.most = self.most
         listener.add_sockets(sockets)
         self.loop, self.ending = asyncio.get_running_loop(), asyncio.Event()
         self.loop.set_default_executor(ThreadPoolExecutor(WRITERS))
@@ -536,7 +536,7 @@ class StudyServer:
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
         soft = max(soft, min(own + MOST_CONNECTIONS, hard))
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        self.free_files = soft - own
+        self.most = min(MOST_CONNECTIONS, max(soft - own, 10))
         for code in self.plan.present():
             try:
                 self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)

@@ -346,8 +346,7 @@ def tick(k, v, w, mode, world, sensing, state, row):
     # A generator within the world would make every call 0.1 ms longer: its type is found in Python.
     task, robot = world.task, world.robot
     locate(world.course, k, row, state)
-    state.v_hand = min(max(v, 0.0), robot.max_speed)
-    state.w_hand = min(max(w, -robot.max_turn_rate), robot.max_turn_rate)
+    state.v_hand, state.w_hand = v, w
     perform(task, k, world.z_r, world.z_h, row, state)
     decide(task, world.switching, k * task.sample_time, mode, state)
     enter(row, state)
