@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.live.log import read_log
-from trustlab.live.study.pages import Step, StudyPage
+from trustlab.live.study.pages import Step
 from trustlab.live.study.participant import Attempt, progress_of
 from trustlab.live.study.plan import EVENTS, PLAN, LiveStudy, file_origin, read_links
 from trustlab.live.task import LEAST_ROWS
@@ -484,8 +484,9 @@ class RecordedStudy(Result):
 
     def export(self, path: str | os.PathLike | None = None) -> Path:
         """
-        Write everything as one zip: participants, answers, measures, samples of every drive, items,
-        exclusions and faults, each as CSV and Parquet, and a README with what columns mean.
+        Write everything as one zip: participants, answers, measures, samples of every drive,
+        exclusions and faults, each as CSV and Parquet, and a README with what columns mean. The
+        words of the items are in `study.json`.
 
         Parameters
         ----------
@@ -503,7 +504,6 @@ class RecordedStudy(Result):
             "answers": self.answers(),
             "measures": self.measures,
             "samples": samples_of(self._sessions),
-            "items": items_of(self.plan.pages),
             "exclusions": self.exclusions(),
             "faults": self.faults(),
         }
@@ -594,16 +594,3 @@ def samples_of(sessions: list[Session]) -> pd.DataFrame:
         tables[meta.participant, meta.more["position"], meta.condition] = session.data
     names = ["participant", "position", "condition", "t"]
     return pd.concat(tables, names=names).reset_index() if tables else pd.DataFrame()
-
-
-def items_of(pages: list[StudyPage]) -> pd.DataFrame:
-    """Return every item that people were asked, with its words."""
-    rows = []
-    for page in pages:
-        # Items of a printed questionnaire do not say so themselves.
-        turned = page.questionnaire.reversed if page.scored else ()
-        for item in page.items:
-            expected = "" if item.expected is None else str(item.expected)
-            more = {"choices": "; ".join(item.choices), "expected": expected}
-            rows.append({"page": page.name, **vars(item), "reversed": item.name in turned, **more})
-    return pd.DataFrame(rows).rename(columns={"name": "item", "text": "words"})
