@@ -48,21 +48,20 @@ def trust_as_json(trust: Any) -> dict | None:
     if trust is None:
         return None
     driver = of_class("trust", TrustInLoop.of(trust), TrustInLoop, "see trustlab.trust.MODELS")
-    names = {kind: name for name, kind in MODELS.items()}
-    if type(driver.model) not in names:
-        raise ValueError(
-            f"trust must be one of trustlab.trust.MODELS ({', '.join(MODELS)}), got "
-            f"{type(driver.model).__name__}: what is not in the package cannot be replayed from a "
-            "study's plan"
-        )
     values = asdict(driver)
-    return values | {"model": names[type(driver.model)], "parameters": values["model"]}
+    for name, kind in MODELS.items():
+        if type(driver.model) is kind:
+            return values | {"model": name, "parameters": values["model"]}
+    raise ValueError(
+        f"trust must be one of trustlab.trust.MODELS ({', '.join(MODELS)}), got "
+        f"{type(driver.model).__name__}: what is not in the package cannot be replayed from a "
+        "study's plan"
+    )
 
 
 def trust_of(content: dict) -> TrustInLoop | None:
     """Return the model of trust that a plan or a run's settings hold."""
-    stored = content["trust"]
-    if stored is None:
+    if (stored := content["trust"]) is None:
         return None
     model = MODELS[stored["model"]](**stored["parameters"])
     return TrustInLoop(model, stored["every"], stored["start"])

@@ -90,11 +90,11 @@ class LiveFlight:
     """A flight, stepped by a hand's place in its square and, in MMI, the share it allocates."""
 
     def __init__(self, config: dict, **parts: Any):
-        task, reach = TASKS[config["study"]], REACH[config["study"]]
-        arguments = {name: config[name] for name in ("scheme", "study", "seed")}
-        arguments |= {"trust": trust_of(config), "duration": config["samples"] * PERIOD}
-        arguments |= {"operator": Teleoperator("live", reach=reach, noise=0.0), "task": task}
-        self.loop = TeleoperationLoop(**{**arguments, **parts})
+        reach = REACH[config["study"]]
+        usual = {name: config[name] for name in ("scheme", "study", "seed")}
+        usual["operator"] = Teleoperator("live", reach=reach, noise=0.0)
+        usual |= {"trust": trust_of(config), "duration": config["samples"] * PERIOD}
+        self.loop = TeleoperationLoop(**{**usual, **parts})
         self.settings, self.task = self.loop.settings, self.loop.task
         self.reach = DEFLECTION * reach / np.broadcast_to(self.settings.weight, 3)[:2]
         self.samples = config["samples"]
