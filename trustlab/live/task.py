@@ -86,6 +86,10 @@ class HandSettings(Checked):
     least_delay: Delay = 0.0
     trust: Any = None
 
+    def __post_init__(self):
+        trust_as_json(self.trust)
+        super().__post_init__()
+
     def as_json(self) -> dict:
         """Return the settings as plain values for `study.json`."""
         return {**vars(self), "trust": trust_as_json(self.trust)}

@@ -88,10 +88,11 @@ class Item:
                 "begins with a letter"
             )
         one_of("kind", self.kind, ITEMS)
-        if not all(isinstance(choice, str) for choice in self.choices):
-            raise ValueError(f"choices must be words, got {shown(self.choices)}")
-        if self.kind == "choice" and len(set(self.choices)) < max(2, len(self.choices)):
-            raise ValueError(f"a choice needs two different choices or more, got {self.choices}")
+        words = {choice for choice in self.choices if isinstance(choice, str)}
+        if self.kind == "choice" and not 2 <= len(words) == len(self.choices):
+            raise ValueError(
+                f"choices must be two different words or more, got {shown(self.choices)}"
+            )
         steps, rest = divmod(self.high - self.low, max(self.step, 1))
         if self.kind == "scale" and (self.step < 1 or rest or not 1 <= steps <= 1000):
             raise ValueError(
