@@ -6,7 +6,6 @@ data.
 from __future__ import annotations
 
 import os
-import sys
 import textwrap
 from pathlib import Path
 
@@ -35,11 +34,14 @@ def use_house_style() -> None:
 
     pyplot.style.use(Path(__file__).parent / "templates" / "house.mplstyle")
     pyplot.rcParams["axes.prop_cycle"] = cycler(color=PALETTE)
-    shell = "IPython" in sys.modules and sys.modules["IPython"].get_ipython()
-    if not shell:
+    try:
+        from IPython import get_ipython
+        from matplotlib_inline.backend_inline import set_matplotlib_formats
+    except ImportError:
         return
-    from matplotlib_inline.backend_inline import set_matplotlib_formats
-
+    shell = get_ipython()
+    if shell is None:
+        return
     formatters = shell.display_formatter.formatters
     formatters["text/html"].for_type(pd.DataFrame, table_html)
     book = REPORT in os.environ
