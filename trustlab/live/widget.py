@@ -28,6 +28,7 @@ from trustlab.models.files import path_of, writing
 from trustlab.models.tsc import TscModel
 from trustlab.sessions.session import Session
 from trustlab.teleoperation.loop.settings import (
+    Guidance,
     LoopSettings,
     Scheme,
     scheme_named,
@@ -109,6 +110,7 @@ class LiveWidget(anywidget.AnyWidget):
         settings: dict,
         participant: str | int,
         log: str | Path | None,
+        language: str = "en",
     ):
         check_participant(participant)
         self.participant = str(participant)
@@ -117,7 +119,7 @@ class LiveWidget(anywidget.AnyWidget):
         path = path.absolute()
         with writing(path):
             self.trial = self._trial(path, task, settings)
-        super().__init__(words=read_words(), path=str(path))
+        super().__init__(words=read_words(language), path=str(path))
         self.on_msg(self._answer)
 
     def _trial(self, path: Path, task: LiveTask, settings: dict) -> Trial:
@@ -191,6 +193,8 @@ class LiveGroundRobot(LiveWidget):
     log : path-like, optional
         The file of the run's log; one under the user's state folder when not given. Each command
         is on the disk before it is done.
+    language : {"en", "de"}
+        Language of what the widget says.
 
     Attributes
     ----------
@@ -235,6 +239,7 @@ class LiveGroundRobot(LiveWidget):
         participant: str | int = "me",
         seed: int = 0,
         log: str | Path | None = None,
+        language: str = "en",
     ):
         own = condition if isinstance(condition, LiveCondition) else None
         name = own.name if own else one_of("condition", condition, CONDITIONS, "a LiveCondition")
@@ -247,7 +252,7 @@ class LiveGroundRobot(LiveWidget):
         known = {"model": asdict(model), "thresholds": pair}
         config = ground_robot.drive_config(content, name, seed, known)
         ground_robot.warn_if_too_short(config)
-        super().__init__(ground_robot.TASK, config, participant, log)
+        super().__init__(ground_robot.TASK, config, participant, log, language)
 
     def fit(self) -> "FitResult":
         """
@@ -289,6 +294,8 @@ class LiveTracking(LiveWidget):
         allocates.
     study : {"preliminary", "main"} or LoopSettings
         Printed settings, or own ones.
+    guidance : {"at_operator", "through_channel"} or Guidance
+        How the guiding force reaches the device, and what keeps it passive.
     delay : float, callable, Delay, or a pair of these, optional
         Delay both ways [s], or (to the robot, back); random walks of the study when not given. The
         kernel's round trip comes on top.
@@ -348,6 +355,7 @@ class LiveTracking(LiveWidget):
         self,
         scheme: str | Scheme = "TMIG",
         study: str | LoopSettings = "main",
+        guidance: str | Guidance = "at_operator",
         delay: Any = None,
         seed: int = 0,
         duration: float = 120.0,
@@ -358,11 +366,12 @@ class LiveTracking(LiveWidget):
         self.scheme, loop = scheme_named(scheme), study_named(study)
         if task is not None:
             of_class("task", task, TrackingTask)
-        given = {"scheme": scheme, "study": study, "task": task}
+        given = {"scheme": scheme, "study": study, "guidance": guidance, "task": task}
         parts = {name: part for name, part in given.items() if not isinstance(part, str | None)}
         if delay is not None:
             parts["delay"] = delay
-        settings = TeleoperationSettings(duration=duration, study=loop.study)
+        where = guidance.where if isinstance(guidance, Guidance) else guidance
+        settings = TeleoperationSettings(duration=duration, study=loop.study, guidance=where)
         seed = whole_seed(seed, 2**32 - 1)
         config = teleoperation.flight_config(settings.as_json(), self.scheme.name, seed, task=task)
         # What parts of your own are recognized by after a restart of the kernel, where they lie
@@ -402,6 +411,8 @@ class LiveTeam(LiveWidget):
         Of start, goals, and which robot can do what.
     log : path-like, optional
         The file of the run's log; one under the user's state folder when not given.
+    language : {"en", "de"}
+        Language of what the widget says.
 
     Attributes
     ----------
@@ -436,6 +447,7 @@ class LiveTeam(LiveWidget):
         participant: str | int = "me",
         seed: int = 0,
         log: str | Path | None = None,
+        language: str = "en",
     ):
         task, parts = team.TASK, {}
         if hasattr(condition, "leader"):
@@ -449,4 +461,4 @@ class LiveTeam(LiveWidget):
         config = team.team_config(content, condition, seed)
         config |= {"parts": parts, "late": settings.least_delay}
         config["facts"] |= parts
-        super().__init__(task, config, participant, log)
+        super().__init__(task, config, participant, log, language)

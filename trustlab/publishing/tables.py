@@ -16,6 +16,8 @@ from trustlab.studies.words import P_VALUE, decimals_of
 ESTIMATE = re.compile(
     "stderr|se|M|ci_high|ci_low|difference|estimate|mean|mean_difference|simulated|value"
 )
+# "0.3 to 0.5" and "0.3 ± 0.1" stay on a line.
+BETWEEN = re.compile(r"(?<=\d) (to|±) (?=[-−\d])")
 LEAST_P = 0.001
 # Significant digits of a typical number of a column, of a standard error, and of numbers whose
 # sizes are too different for the same decimals: by more than so many powers of ten.
@@ -69,7 +71,8 @@ def _with_row_names(frame: pd.DataFrame) -> pd.DataFrame:
     """Return a table whose names of rows are columns; plain numbers of rows are left out."""
     if frame.index.name is None and pd.api.types.is_integer_dtype(frame.index):
         return frame.reset_index(drop=True)
-    heads = [_word(name or "") for name in frame.index.names]
+    above = f", by {frame.columns.name}" if frame.columns.name else ""
+    heads = [_word(name or "") + above for name in frame.index.names]
     return frame.rename_axis(columns=None).reset_index(names=heads, allow_duplicates=True)
 
 
@@ -122,7 +125,8 @@ def cell(value: object, p: bool = False, decimals: int | None = None) -> str:
     if pd.api.types.is_scalar(value) and pd.isna(value):
         return "–"
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        return html.escape(CELLS.get(str(value), str(value)))
+        text = html.escape(CELLS.get(str(value), str(value)))
+        return BETWEEN.sub("\u00a0\\1\u00a0", text)
     if isinstance(value, numbers.Integral):
         return str(value)
     number = float(value) + 0.0  # without the minus of a zero

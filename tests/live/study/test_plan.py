@@ -49,7 +49,7 @@ def test_tokens_are_nowhere_in_the_study(make_plan):
 
 
 def test_what_makes_no_study_is_refused_and_nothing_is_left(make_plan, tmp_path):
-    own = {"task": "teleoperation", "study": "nonsense"}
+    own = {"task": "teleoperation", "guidance": "nonsense"}
     for more, said in (
         ({"participants": {"P01", "P02"}}, "must be in an order"),
         ({"participants": ["p01", "P01"]}, "two codes are the same"),
@@ -60,7 +60,7 @@ def test_what_makes_no_study_is_refused_and_nothing_is_left(make_plan, tmp_path)
             "no list of codes, must be a whole number, from 1 to 999, got 'A7'",
         ),
         ({"lap": 2}, "a setting must be one of 'laps', .* got 'lap'; did you mean 'laps'"),
-        ({"conditions": ["M", "MI"], "short": own}, "study must be one of"),
+        ({"conditions": ["M", "MI"], "short": own}, "guidance must be one of"),
     ):
         with refused(said):
             make_plan(**more)

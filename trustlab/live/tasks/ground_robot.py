@@ -126,6 +126,8 @@ class DriveSettings(Checked):
         TSC_l and TSC_u that go with `model`; those of Table 2.2 by default.
     course : Course, optional
         The course; that of the ground robot's testbed by default.
+    robot : Pioneer, optional
+        The robot; by default that of the testbed, not faster than 0.5 m/s.
     least_delay : float
         How late pictures are shown at least [s], so that connections make no difference among
         people; the camera's delay counts where it is longer.
@@ -151,6 +153,7 @@ class DriveSettings(Checked):
     model: TscModel | None = None
     thresholds: tuple[float, float] | None = None
     course: Course | None = None
+    robot: Pioneer | None = None
     least_delay: Delay = 0.0
 
     def __post_init__(self):
@@ -172,6 +175,7 @@ class DriveSettings(Checked):
             "identification": _schedule(self.identification),
             "stand_in": {"model": asdict(model), "thresholds": pair},
             "course": course and {"corners": course.corners, "radius": course.radius},
+            "robot": self.robot and asdict(self.robot),
         }
 
 
@@ -206,7 +210,7 @@ def drive_config(content: dict, condition: str, seed: int, known: dict | None = 
     """
     known = known or content["stand_in"]
     model, (lower, upper) = model_of(known["model"]), known["thresholds"]
-    robot = Pioneer(max_speed=LIVE_SPEED)
+    robot = Pioneer(**content["robot"] or {"max_speed": LIVE_SPEED})
     course = Course(**content["course"]) if content["course"] else default_course()
     schedule, laps, settling = [], 0, 0.0
     if condition == "training":

@@ -19,6 +19,7 @@ from trustlab.models.checks import one_of
 from trustlab.models.simulation import DivergenceError, PartError
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Session
+from trustlab.teleoperation.loop.kernel import GUIDANCE
 from trustlab.testbeds.uav_tracking import TASKS, TeleoperationLoop, TrackingTask
 
 COMMANDS = ("pointer_x", "pointer_y", "alpha_choice")
@@ -61,6 +62,8 @@ class TeleoperationSettings(HandSettings):
         Length of the training flight, in M [s].
     study : {"main", "preliminary"}
         Printed settings of device, channel, trust and target.
+    guidance : {"at_operator", "through_channel"}
+        How the guiding force reaches the device.
     least_delay : float
         How late pictures are shown at least [s], so that connections make no difference among
         people; the camera's delay counts where it is longer.
@@ -80,9 +83,11 @@ class TeleoperationSettings(HandSettings):
     """
 
     study: str = "main"
+    guidance: str = "at_operator"
 
     def __post_init__(self):
         one_of("study", self.study, TASKS)
+        one_of("guidance", self.guidance, GUIDANCE)
         super().__post_init__()
 
 
@@ -91,7 +96,7 @@ class LiveFlight:
 
     def __init__(self, config: dict, **parts: Any):
         reach = REACH[config["study"]]
-        usual = {name: config[name] for name in ("scheme", "study", "seed")}
+        usual = {name: config[name] for name in ("scheme", "study", "guidance", "seed")}
         usual["operator"] = Teleoperator("live", reach=reach, noise=0.0)
         usual |= {"trust": trust_of(config), "duration": config["samples"] * PERIOD}
         self.loop = TeleoperationLoop(**{**usual, **parts})
@@ -170,6 +175,7 @@ def flight_config(
         scheme="M" if condition == "training" else condition,
         allocates=allocates,
         study=content["study"],
+        guidance=content["guidance"],
         half=task.view if task.view < UNBOUNDED else task.size_x,
         columns=COLUMNS,
         late=task.camera_delay,
