@@ -98,5 +98,5 @@ def test_every_result_is_shown_by_what_escapes():
         if isinstance(node, ast.FunctionDef) and node.name == "_repr_html_"
         for call in returned_calls(node)
     }
-    assert len(shown) >= 5
+    assert ("display", "as_html") in shown
     assert {stem for stem, call in shown if call != "as_html"} <= {"report"}

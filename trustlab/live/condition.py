@@ -77,7 +77,7 @@ class LiveCondition:
     >>> import trustlab as tl
     >>> slow = tl.LiveCondition("slow", suggestions="tsc", forced=True, notice=10.0)
     >>> tl.LiveStudy(tempfile.mkdtemp() + "/notices", ["C3", slow], 4, rehearsal=True)
-    LiveStudy('notices': 4 participants, C3, slow)
+    <Live study notices: 4 participants, C3, slow; rehearsal by scripted hands>
 
     A busy operator hands over, a rested one takes over again:
 
@@ -120,7 +120,7 @@ class LiveCondition:
         """Check a rule of one's own, whose numbers are kept as floats."""
         for signal in weights:
             one_of("a signal of suggestions", signal, SIGNALS)
-        numbers = {s: finite_number(f"the weight of {s}", weight) for s, weight in weights.items()}
+        numbers = {s: finite_number(f"the weight of {s}", weights.get(s, 0.0)) for s in SIGNALS}
         self.__dict__["suggestions"] = numbers
         if not any(numbers.values()):
             raise ValueError("suggestions: a rule needs a weight that is not zero")
@@ -137,5 +137,6 @@ class LiveCondition:
     @property
     def weights(self) -> dict[str, float]:
         """The weight of each signal in a rule of one's own."""
-        rule = self.suggestions if isinstance(self.suggestions, Mapping) else {}
-        return {signal: float(rule.get(signal, 0.0)) for signal in SIGNALS}
+        if isinstance(self.suggestions, Mapping):
+            return dict(self.suggestions)
+        return dict.fromkeys(SIGNALS, 0.0)

@@ -86,12 +86,11 @@ def _fit(session: Session, fixed: dict[str, float]) -> tuple[FitResult | None, S
     return fit, table.index[table["status"].isin(UNDETERMINED)], fit.message
 
 
-def stand_in(content: dict, why: str) -> dict:
+def stand_in(content: dict, why: str = "") -> dict:
     """Return a study's own model and thresholds, with the reason why they stand in."""
-    known = content.get("stand_in")
-    if known is None:  # a task whose drives need no model of the person
+    if "stand_in" not in content:  # a task whose drives need no model of the person
         return {"source": "", "why": ""}
-    return {"source": FROM_STAND_IN, "why": why, **known}
+    return {"source": FROM_STAND_IN, "why": why, **content["stand_in"]}
 
 
 def identified(content: dict, session: Session) -> dict:

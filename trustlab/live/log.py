@@ -44,8 +44,8 @@ class LogReading(NamedTuple):
     entries: list[Any]
     links: list[str]
     size: int
-    torn: int = 0
-    fault: str = ""
+    torn: int
+    fault: str
 
 
 def linked(link: str, entry: Any) -> tuple[str, str]:
@@ -72,13 +72,13 @@ def read_log(path: Path, origin: str = "") -> LogReading:
         Up to the first line that is no entry with its link, which the fault names.
     """
     entries: list[Any] = []
-    links, size = [origin], 0
+    links, size, torn, fault = [origin], 0, 0, ""
     if not path.exists():
-        return LogReading(entries, links, size, fault=f"{path.name} is missing")
+        return LogReading(entries, links, size, torn, f"{path.name} is missing")
     for number, line in enumerate(io.BytesIO(path.read_bytes()), 1):  # only \n ends a line
         if not line.endswith(b"\n"):
-            fault = f"{path.name}: its last line is torn"
-            return LogReading(entries, links, size, len(line), fault)
+            torn, fault = len(line), f"{path.name}: its last line is torn"
+            break
         try:
             _, entry = json.loads(line)
         except (ValueError, TypeError):
@@ -86,11 +86,11 @@ def read_log(path: Path, origin: str = "") -> LogReading:
         link, expected = linked(links[-1], entry)
         if line != expected.encode():
             fault = f"{path.name}, line {number}: it was changed, or lines before it were"
-            return LogReading(entries, links, size, fault=fault)
+            break
         entries.append(entry)
         links.append(link)
         size += len(line)
-    return LogReading(entries, links, size)
+    return LogReading(entries, links, size, torn, fault)
 
 
 def sync_folder(folder: Path) -> None:

@@ -6,7 +6,7 @@ stepped by commands where its log is, a row at a time; the same commands give th
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib import import_module
 from typing import Annotated, Any
@@ -48,21 +48,20 @@ def trust_as_json(trust: Any) -> dict | None:
     if trust is None:
         return None
     driver = of_class("trust", TrustInLoop.of(trust), TrustInLoop, "see trustlab.trust.MODELS")
-    names = {kind: name for name, kind in MODELS.items()}
-    if type(driver.model) not in names:
-        raise ValueError(
-            f"trust must be one of trustlab.trust.MODELS ({', '.join(MODELS)}), got "
-            f"{type(driver.model).__name__}: what is not in the package cannot be replayed from a "
-            "study's plan"
-        )
     values = asdict(driver)
-    return values | {"model": names[type(driver.model)], "parameters": values["model"]}
+    for name, kind in MODELS.items():
+        if type(driver.model) is kind:
+            return values | {"model": name, "parameters": values["model"]}
+    raise ValueError(
+        f"trust must be one of trustlab.trust.MODELS ({', '.join(MODELS)}), got "
+        f"{type(driver.model).__name__}: what is not in the package cannot be replayed from a "
+        "study's plan"
+    )
 
 
 def trust_of(content: dict) -> TrustInLoop | None:
     """Return the model of trust that a plan or a run's settings hold."""
-    stored = content["trust"]
-    if stored is None:
+    if (stored := content["trust"]) is None:
         return None
     model = MODELS[stored["model"]](**stored["parameters"])
     return TrustInLoop(model, stored["every"], stored["start"])
@@ -97,30 +96,18 @@ class HandSettings(Checked):
 
 
 def run_config(
-    live_task: str,
-    condition: str,
-    seed: int,
-    period: float,
-    seconds: float,
-    limits: dict[str, list[float]],
-    columns: Sequence[str],
-    late: float,
-    **more: Any,
+    condition: str, seed: int, seconds: float, limits: dict[str, list[float]], **more: Any
 ) -> dict:
     """
     Return what the settings of every run hold, with the limits of each command, and what else those
-    of a task do.
+    of a task do: its name as live_task, sample_time [s], columns, and how late the camera is [s].
     """
     return {
-        "live_task": live_task,
         "condition": condition,
         "seed": seed,
-        "sample_time": period,
-        "samples": round(seconds / period),
+        "samples": round(seconds / more["sample_time"]),
         "commands": list(limits),
         "limits": limits,
-        "columns": [*columns],
-        "late": late,
         "clock": "real",
         "facts": {},
         **more,
@@ -128,23 +115,17 @@ def run_config(
 
 
 def hand_config(
-    task: str, content: dict, condition: str, seed: int, limits: list[float], **more: Any
+    content: dict, condition: str, seed: int, choices: list[float], **more: Any
 ) -> dict:
     """
     Return the settings of a run that is commanded by a hand in its square and a choice, which is
     the third of the columns and has these limits.
     """
     square = [-1.0, 1.0]
-    return run_config(
-        task,
-        condition,
-        seed,
-        PERIOD,
-        content["training" if condition == "training" else "duration"],
-        dict(zip(more["columns"], (square, square, limits), strict=False)),
-        trust=content["trust"],
-        **more,
-    )
+    seconds = content["training" if condition == "training" else "duration"]
+    limits = dict(zip(more["columns"], (square, square, choices), strict=False))
+    more |= {"sample_time": PERIOD, "trust": content["trust"]}
+    return run_config(condition, seed, seconds, limits, **more)
 
 
 @dataclass(frozen=True)
@@ -238,8 +219,7 @@ def scripted_commands(task: LiveTask, config: dict, hand: Callable) -> tuple[lis
     run = task.begin(config)
     late = round(config["late"] / config["sample_time"])
     pictures = deque([run.picture()], late + 1)
-    commands = []
-    rows = []
+    commands, rows = [], []
     while not run.done:
         commands.append([float(value) for value in hand(pictures[0])])
         rows.append(run.step(*commands[-1]))

@@ -75,27 +75,24 @@ def module_of(*names: str) -> str:
     return re.sub(r'^import [^"]* from "\./[a-z_]+\.js";\n', "", text, flags=re.M)
 
 
-def state_folder() -> Path:
-    """Return where logs of widgets lie: under the user's state folder."""
-    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(home) / "trustlab" / "live"
-
-
 def goes_on(path: Path, settings: dict, participant: str) -> bool:
     """Whether a log is missing, or holds the beginning of a run with these settings."""
     if not path.exists() or not path.stat().st_size:
         return True
     record, _, _ = read_record(path)
-    if record is None or record.header.get("participant") != participant:
-        return False
-    return record.settings == settings and not record.end and not record.other_maker
+    same = record is not None and record.header.get("participant") == participant
+    return same and record.settings == settings and not record.end and not record.other_maker
 
 
 def place_of(settings: dict, participant: str) -> Path:
-    """Return the log of a run with these settings that is not over, or a new one."""
+    """
+    Return the log of a run with these settings that is not over, or a new one, under the user's
+    state folder.
+    """
+    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     text = digest(json.dumps([settings, participant], sort_keys=True))[:12]
-    name = f"{settings['condition']}-{text}"
-    paths = (state_folder() / f"{name}-{number}.jsonl" for number in itertools.count(1))
+    name = f"trustlab/live/{settings['condition']}-{text}"
+    paths = (Path(home, f"{name}-{number}.jsonl") for number in itertools.count(1))
     return next(path for path in paths if goes_on(path, settings, participant))
 
 
@@ -113,7 +110,7 @@ class LiveWidget(anywidget.AnyWidget):
         settings: dict,
         participant: str | int,
         log: str | Path | None,
-        language: str,
+        language: str = "en",
     ):
         check_participant(participant)
         self.participant = str(participant)
@@ -127,8 +124,6 @@ class LiveWidget(anywidget.AnyWidget):
 
     def _trial(self, path: Path, task: LiveTask, settings: dict) -> Trial:
         """Return the trial of a log, which goes on where a cell is run again."""
-        if path.is_dir():
-            raise ValueError(f"log must be a file, and {path} is a folder")
         path.parent.mkdir(parents=True, exist_ok=True)
         if not goes_on(path, settings, self.participant):
             raise ValueError(f"{path} holds another run, or one that is over; name another log")
@@ -385,7 +380,7 @@ class LiveTracking(LiveWidget):
         names = {name: re.sub(" at 0x[0-9a-f]+", "", text) for name, text in texts.items()}
         facts = {"scheme": self.scheme.title.replace("force feedback", "cues"), **FACTS}
         config |= {"parts": names, "facts": facts}
-        super().__init__(teleoperation.task_of(**parts), config, participant, log, "en")
+        super().__init__(teleoperation.task_of(**parts), config, participant, log)
 
     @property
     def energy(self) -> pd.DataFrame:

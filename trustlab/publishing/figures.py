@@ -17,8 +17,7 @@ from trustlab.publishing.tables import table_html
 # white.
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
 
-CAPTION_ID = "trustlab-caption"
-MARK_ID = "trustlab-synthetic"
+GID = "trustlab-caption"  # what texts of an earlier call are known by
 SYNTHETIC = "Synthetic data"
 REPORT = "TRUSTLAB_REPORT"  # set where a notebook runs for the book
 
@@ -45,9 +44,10 @@ def use_house_style() -> None:
         return
     formatters = shell.display_formatter.formatters
     formatters["text/html"].for_type(pd.DataFrame, table_html)
-    set_matplotlib_formats("svg" if REPORT in os.environ else "png", dpi=150)
-    svg = formatters["image/svg+xml"]
-    if REPORT in os.environ:
+    book = REPORT in os.environ
+    set_matplotlib_formats("svg" if book else "png", dpi=150)
+    if book:
+        svg = formatters["image/svg+xml"]
         draw = svg.lookup_by_type(Figure)
         svg.for_type(Figure, lambda figure: (draw(figure), {"caption": figure.get_label()}))
     backend = pyplot.get_backend()
@@ -76,20 +76,19 @@ def caption(where, text: str, synthetic: bool | str = False):
         The caption of a figure; the table with its caption in ``attrs``.
     """
     label = SYNTHETIC if synthetic is True else f"{SYNTHETIC}: {synthetic}"
-    if synthetic:
-        text = f"{label}. {text}"
+    text = f"{label}. {text}" if synthetic else text
     if isinstance(where, pd.DataFrame):
         table = where.copy(deep=False)
         table.attrs = {"caption": text}
         return table
     figure = where.figure.figure  # axes -> (sub)figure -> figure; a figure is its own
-    for old in [words for words in figure.texts if words.get_gid() in (CAPTION_ID, MARK_ID)]:
+    for old in [words for words in figure.texts if words.get_gid() == GID]:
         old.remove()
     if synthetic:  # marked in the upper right corner, too
         style = {"fontsize": 8, "color": "#8a5a00", "ha": "right", "va": "bottom"}
-        figure.text(0.995, 1.01, label, gid=MARK_ID, **style)
+        figure.text(0.995, 1.01, label, gid=GID, **style)
     lines = textwrap.fill(text, max(30, int(figure.get_figwidth() * 14)))
     figure.set_label(lines)
     style = {"fontsize": 9, "color": "#555555", "ha": "left", "va": "top"}
     style["visible"] = REPORT not in os.environ  # the book sets it in type
-    return figure.text(0.01, -0.02, lines, gid=CAPTION_ID, **style)
+    return figure.text(0.01, -0.02, lines, gid=GID, **style)

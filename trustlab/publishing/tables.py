@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from trustlab.identification.posterior.result import WORDS
-from trustlab.studies.words import P_VALUE
+from trustlab.studies.words import P_VALUE, decimals_of
 
 # Columns whose decimals are those of the standard error of their row.
 ESTIMATE = re.compile(
@@ -44,7 +44,6 @@ def table_html(frame: pd.DataFrame) -> str:
     """
     plain = frame.columns.nlevels == 1
     caption = frame.attrs.get("caption", "")
-    errors = None
     if plain:
         frame = _with_row_names(frame)
         same = _constant(frame)
@@ -54,11 +53,7 @@ def table_html(frame: pd.DataFrame) -> str:
             values = html.unescape(re.sub("<[^>]*>", "", values))
             caption = f"{caption} In every row: {values}."
         frame = frame.loc[:, ~same]
-        errors = _errors(frame)
-    # By position, as two columns may have the same head.
-    columns = [_column(name, column, errors) for name, column in frame.items()]
-    texts = pd.DataFrame(dict(enumerate(columns)), index=frame.index)
-    texts.columns = frame.columns
+    texts = frame.apply(_texts, errors=_errors(frame) if plain else None)
     level = f"{100.0 * frame.attrs.get('confidence', 0.95):g} % CI"
     heads = texts.rename(columns=lambda name: html.escape(_word(name).replace("95 % CI", level)))
     table = heads.to_html(
@@ -77,35 +72,33 @@ def _with_row_names(frame: pd.DataFrame) -> pd.DataFrame:
     if frame.index.name is None and pd.api.types.is_integer_dtype(frame.index):
         return frame.reset_index(drop=True)
     above = f", by {frame.columns.name}" if frame.columns.name else ""
-    heads = [f"{_word(name or '')}{above}" for name in frame.index.names]
+    heads = [_word(name or "") + above for name in frame.index.names]
     return frame.rename_axis(columns=None).reset_index(names=heads, allow_duplicates=True)
 
 
 def _constant(frame: pd.DataFrame) -> np.ndarray:
     """Mark columns that are the same in every row of three or more, unless most of them are."""
-    columns = [column for _, column in frame.items()]
-    same = np.array([x.notna().all() and len(set(x.astype(str))) == 1 for x in columns], dtype=bool)
+    same = frame.apply(lambda x: x.notna().all() and len({*x.astype(str)}) == 1).to_numpy(bool)
     return same & (len(frame) >= 3) & (2 * same.sum() <= same.size)
 
 
 def _errors(frame: pd.DataFrame) -> pd.Series | None:
     """Return the standard error of each row, or else half of its interval."""
-    for name in ("stderr", "se"):
-        if name in frame:
-            return frame[name]
-    whole = "ci_low" in frame and "ci_high" in frame
-    return (frame["ci_high"] - frame["ci_low"]) / 2.0 if whole else None
+    errors = frame.get("stderr", frame.get("se"))
+    if errors is None and {"ci_low", "ci_high"} <= {*frame}:
+        return (frame["ci_high"] - frame["ci_low"]) / 2.0
+    return errors
 
 
-def _column(head: object, column: pd.Series, errors: pd.Series | None) -> list[str]:
-    """Return the texts of a column; under several heads, its name is the last."""
-    name = str(head[-1] if isinstance(head, tuple) else head)
+def _texts(column: pd.Series, errors: pd.Series | None) -> pd.Series:
+    """Return a column as texts; under several heads, its name is the last."""
+    name = str(column.name[-1] if isinstance(column.name, tuple) else column.name)
     p = P_VALUE.fullmatch(name) is not None
+    decimals = [common_decimals(column) if column.dtype.kind == "f" else None] * len(column)
     if errors is not None and ESTIMATE.fullmatch(name):
         decimals = [common_decimals([error], DIGITS_OF_ERROR) for error in errors]
-    else:
-        decimals = [common_decimals(column) if column.dtype.kind == "f" else None] * len(column)
-    return [cell(value, p, count) for value, count in zip(column, decimals, strict=True)]
+    texts = [cell(value, p, count) for value, count in zip(column, decimals, strict=True)]
+    return pd.Series(texts, column.index, dtype=object)
 
 
 def common_decimals(values, digits: int = DIGITS) -> int | None:
@@ -120,13 +113,11 @@ def common_decimals(values, digits: int = DIGITS) -> int | None:
     powers = np.floor(np.log10(np.abs(finite[finite != 0.0])))
     if np.ptp(powers) > SAME_SCALE:
         return None
-    most = digits - 1 - int(np.median(powers))
-    if np.ptp(finite) > 0.0:
-        most = max(most, DIGITS_OF_ERROR - 1 - int(np.floor(np.log10(np.ptp(finite)))))
+    most = max(decimals_of(finite, digits), decimals_of(np.ptp(finite), DIGITS_OF_ERROR))
     if most > MOST_DECIMALS:
         return None
     exact = (n for n in range(most) if np.allclose(finite, finite.round(n), 1e-9, 0.0))
-    return next(exact, max(most, 0))
+    return next(exact, most)
 
 
 def cell(value: object, p: bool = False, decimals: int | None = None) -> str:
@@ -134,8 +125,8 @@ def cell(value: object, p: bool = False, decimals: int | None = None) -> str:
     if pd.api.types.is_scalar(value) and pd.isna(value):
         return "–"
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        text = CELLS.get(str(value), str(value))
-        return BETWEEN.sub("\u00a0\\1\u00a0", html.escape(text))
+        text = html.escape(CELLS.get(str(value), str(value)))
+        return BETWEEN.sub("\u00a0\\1\u00a0", text)
     if isinstance(value, numbers.Integral):
         return str(value)
     number = float(value) + 0.0  # without the minus of a zero

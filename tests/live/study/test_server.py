@@ -113,7 +113,7 @@ def test_the_participant_is_told_no_condition(served, page):
     assert "columns" in said[-1]["config"]
     assert not re.search(r"\bC[1-5]\b", json.dumps(said) + str(ask(link).content))
     drive = record(served.plan, name=f"{number:02d}-drive")
-    assert drive.header["condition"] == served.plan.orders["P01"][0]  # the lab knows
+    assert drive.settings["condition"] == served.plan.orders["P01"][0]  # the lab knows
 
 
 # how much
@@ -122,6 +122,7 @@ def test_the_participant_is_told_no_condition(served, page):
 
 def test_connections_are_capped_and_slow_heads_time_out(make_plan, serving, monkeypatch):
     monkeypatch.setattr("trustlab.live.study.server.HEADER_TIME", 2.0)
+    monkeypatch.setattr("trustlab.live.study.server.MOST_CONNECTIONS", 100)
     with serving(make_plan()) as served, ExitStack() as held:
         place = ("127.0.0.1", served.server.port)
         links = [held.enter_context(socket.create_connection(place, 30)) for _ in range(150)]
@@ -130,7 +131,7 @@ def test_connections_are_capped_and_slow_heads_time_out(make_plan, serving, monk
             link.settimeout(2.0)
             with suppress(TimeoutError, ConnectionError):
                 closed += link.recv(1) == b""
-        assert closed == 20, "beyond a hundred of an address"
+        assert closed == 20, "beyond a hundred"
         for link in links[50:]:
             link.close()
         began = time.monotonic()
@@ -139,16 +140,6 @@ def test_connections_are_capped_and_slow_heads_time_out(make_plan, serving, monk
         assert links[0].recv(100) == b""
         assert 0.5 < time.monotonic() - began < 15.0
         assert served.state().status == 200
-
-
-def test_connections_are_capped_in_all(make_plan, serving, monkeypatch):
-    monkeypatch.setattr("trustlab.live.study.server.MOST_CONNECTIONS", 20)
-    with serving(make_plan()) as served, ExitStack() as held:
-        place = ("127.0.0.1", served.server.port)
-        for k in range(25):
-            link = socket.create_connection(place, 5.0, (f"127.0.0.{k + 2}", 0))
-            held.enter_context(link)
-            assert k < 20 or link.recv(1) == b""
 
 
 def test_a_mistake_is_logged_once_and_counted(served, monkeypatch, caplog):
@@ -414,7 +405,7 @@ def test_nothing_about_a_person_who_drove_is_kept_but_what_the_documentation_lis
     about = {"at", "kind", "page", "name", "answers", "condition", "position", "attempt", "rows"}
     assert set().union(*events(served.plan)) == about | {"link"}
     header, *rest = entries(served.plan.folder / "P01" / "01-training.jsonl")
-    assert set(header) == {"settings", "version", "sources", "condition", "source", "why"}
+    assert set(header) == {"settings", "version", "sources", "source"}
     kept = {"at", "window", "note", "commands", "seen", "rows", "end"}
     assert set().union(*rest) == kept
     words = "".join(path.read_text() for path in served.plan.folder.rglob("*.json*"))

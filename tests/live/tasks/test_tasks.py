@@ -16,6 +16,7 @@ from tests.live.cases import commands_for, configured, session_of
 from trustlab.live.hands import ScriptedLeader
 from trustlab.live.task import task_named
 from trustlab.live.tasks.team import ABILITIES, occasions, policy_agreement
+from trustlab.live.tasks.teleoperation import task_of
 from trustlab.operators.teleoperator import REACH
 from trustlab.sessions.session import Metadata, Session
 from trustlab.teleoperation.team.settings import TeamOperator, TeamSettings, TeamTrial
@@ -88,6 +89,19 @@ def test_a_flight_is_that_of_the_loop():
     np.testing.assert_allclose(session["alpha"], share)
     for name in ("alpha", "path_error", "f_m_x"):
         np.testing.assert_array_equal(session[name], rows[name])
+
+
+def test_a_flight_that_fails_keeps_the_row_of_before():
+    def fails(state):
+        if state.t > 0.5:
+            raise RuntimeError("no scale")
+        return state.alpha_min, state.beta_max
+
+    config = configured("teleoperation", "M", duration=2.0)
+    flight = task_of(scheme=tl.Scheme("mine", fails)).begin(config)
+    rows = np.array([flight.step(0.5, 0.2, -1.0) for _ in range(40)])
+    assert "no scale" in flight.picture()["over"]
+    assert np.flatnonzero((np.diff(rows, axis=0) != 0.0).any(axis=1)).max() == 8
 
 
 def test_policies_lead_where_they_should_and_suggest_where_they_should():

@@ -138,6 +138,6 @@ export function play(root, open, on) {
   return {
     stop,
     telemetry,
-    state: () => ({ have, made: made(), still, over, delay: playout ? playout.delay * dt : 0 }),
+    state: () => ({ have, made: made(), still, over }),
   };
 }

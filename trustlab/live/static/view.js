@@ -38,7 +38,7 @@ export const STYLE = `
 
 // Make a canvas opaque and keep its pixels those of the screen: without a graphics card scaling
 // costs more than drawing.
-function fitted(canvas, shape, resized, signal) {
+function fitted(canvas, shape, signal) {
   // Shown past the page's own painting: sooner, and for less
   const g = canvas.getContext("2d", { alpha: false, desynchronized: true });
   const fit = () => {
@@ -49,7 +49,6 @@ function fitted(canvas, shape, resized, signal) {
     canvas.height = Math.round(canvas.width * shape);
     canvas.style.width = `${canvas.width / dense}px`;
     canvas.style.height = `${canvas.height / dense}px`;
-    resized();
   };
   const watch = new ResizeObserver(fit);
   watch.observe(canvas.parentElement);
@@ -63,25 +62,23 @@ function fitted(canvas, shape, resized, signal) {
 export class Camera {
   constructor(canvas, config, signal) {
     Object.assign(this, { config, canvas });
-    this.g = fitted(
-      canvas,
-      11 / 24,
-      () => {
-        this.focal = canvas.width / 2 / Math.tan(config.view.field / 2);
-      },
-      signal,
-    );
+    this.g = fitted(canvas, 11 / 24, signal);
   }
 
   // Draw what is seen from a pose.
   draw(at) {
-    const { g, canvas, config, focal } = this,
+    const { g, canvas, config } = this,
       { range, height } = config.view,
       cos = Math.cos(at.yaw),
       sin = Math.sin(at.yaw);
+    const seen = ([x, y]) => ({
+      ahead: cos * (x - at.x) + sin * (y - at.y),
+      left: cos * (y - at.y) - sin * (x - at.x),
+    });
     const horizon = Math.round(0.36 * canvas.height),
       middle = canvas.width / 2,
-      aside = Math.tan(config.view.field / 2) + 0.05;
+      edge = Math.tan(config.view.field / 2),
+      focal = middle / edge;
     g.fillStyle = "#cfdbe6";
     g.fillRect(0, 0, canvas.width, horizon);
     g.fillStyle = "#e9e5da";
@@ -89,14 +86,9 @@ export class Camera {
     g.fillStyle = "#b9b29f";
     for (let x = Math.floor(at.x - range); x <= at.x + range; x += 0.5) {
       for (let y = Math.floor(at.y - range); y <= at.y + range; y += 0.5) {
-        const ahead = cos * (x - at.x) + sin * (y - at.y),
-          left = cos * (y - at.y) - sin * (x - at.x);
-        if (
-          ahead < 0.35 ||
-          Math.abs(left) > aside * ahead ||
-          ahead * ahead + left * left > range * range
-        )
-          continue;
+        const { ahead, left } = seen([x, y]);
+        const inside = Math.abs(left) <= (edge + 0.05) * ahead;
+        if (ahead < 0.35 || !inside || Math.hypot(ahead, left) > range) continue;
         const near = focal / ahead; // whole pixels, which need no smoothing
         g.fillRect(
           Math.round(middle - near * left),
@@ -106,16 +98,12 @@ export class Camera {
         );
       }
     }
-    const posts = [];
-    config.posts.forEach(([x, y], i) => {
-      const ahead = cos * (x - at.x) + sin * (y - at.y),
-        left = cos * (y - at.y) - sin * (x - at.x),
-        away = Math.hypot(ahead, left);
-      if (ahead > 0.15 && away < range) posts.push({ ahead, left, away, i });
-    });
-    for (const { ahead, left, away, i } of posts.sort((a, b) => b.ahead - a.ahead)) {
+    const posts = config.posts.map((post, i) => ({ ...seen(post), i }));
+    for (const { ahead, left, i } of posts.sort((a, b) => b.ahead - a.ahead)) {
       const near = focal / ahead;
-      g.globalAlpha = clamp((range - away) / 0.8, 0, 1); // posts come out of the haze
+      if (ahead <= 0.15) continue;
+      // Posts come out of the haze.
+      g.globalAlpha = clamp((range - Math.hypot(ahead, left)) / 0.8, 0, 1);
       g.fillStyle = i % 2 ? "#0b7a55" : "#b3402e"; // right and left of the way
       g.fillRect(
         middle - near * (left + 0.045),
@@ -132,16 +120,8 @@ export class Camera {
 // as lines. Drawn five times a second.
 export class Gauges {
   constructor(canvas, config, signal) {
-    this.canvas = canvas;
-    this.stale = true;
-    this.g = fitted(
-      canvas,
-      1 / 8,
-      () => {
-        this.stale = true;
-      },
-      signal,
-    );
+    Object.assign(this, { canvas, added: 0, drawn: "" });
+    this.g = fitted(canvas, 1 / 8, signal);
     const { task, columns, words } = config,
       top = 1.25 * config.robot.max_speed;
     const tsc = task.scheme === 2 ? [task.lower, task.upper] : [];
@@ -171,13 +151,13 @@ export class Gauges {
       }
       if (panel.past.length > 1800) panel.past.shift(); // three minutes
     }
-    this.added = (this.added ?? 0) + 1;
-    this.stale ||= this.added % 2 === 0;
+    this.added += 1;
   }
 
   draw() {
-    if (!this.stale) return;
-    this.stale = false;
+    const state = `${this.added >> 1} ${this.canvas.width}`; // resizing clears a canvas
+    if (this.drawn === state) return;
+    this.drawn = state;
     const g = this.g,
       wide = 960 / this.panels.length,
       size = this.canvas.width / 960;

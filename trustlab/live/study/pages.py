@@ -88,10 +88,11 @@ class Item:
                 "begins with a letter"
             )
         one_of("kind", self.kind, ITEMS)
-        if not all(isinstance(choice, str) for choice in self.choices):
-            raise ValueError(f"choices must be words, got {shown(self.choices)}")
-        if self.kind == "choice" and len(set(self.choices)) < max(2, len(self.choices)):
-            raise ValueError(f"a choice needs two different choices or more, got {self.choices}")
+        words = {choice for choice in self.choices if isinstance(choice, str)}
+        if self.kind == "choice" and not 2 <= len(words) == len(self.choices):
+            raise ValueError(
+                f"choices must be two different words or more, got {shown(self.choices)}"
+            )
         steps, rest = divmod(self.high - self.low, max(self.step, 1))
         if self.kind == "scale" and (self.step < 1 or rest or not 1 <= steps <= 1000):
             raise ValueError(
@@ -295,8 +296,10 @@ def _changed(
         skip = flag(f"skip of {where}", table.pop("skip", False))
         if skip and name in NEEDED:
             raise ValueError(f"{where} cannot be left out of a study")
-        changed = tables | {name: tables[name] | table}
-        return {key: page for key, page in changed.items() if key != name or not skip}
+        tables[name] |= table
+        if skip:
+            del tables[name]
+        return tables
     at_end = after == "debriefing"
     if bool(before) == bool(after) or anchor not in list(tables) or "section" in table or at_end:
         raise ValueError(
@@ -307,9 +310,9 @@ def _changed(
         anchor = behind[anchor]
     if after:
         behind[anchor] = name
-    order = list(tables)
-    order.insert(order.index(anchor) + bool(after), name)
-    return {key: table if key == name else tables[key] for key in order}
+    pages = list(tables.items())
+    pages.insert(list(tables).index(anchor) + bool(after), (name, table))
+    return dict(pages)
 
 
 def _page(where: str, name: str, table: dict) -> StudyPage:

@@ -99,11 +99,9 @@ def progress_of(events: Iterable[Mapping]) -> Progress:
                 old = now.done.pop(page, {})
                 now.attempts[page] = now.attempt(page) + 1
                 if old.get("name") == "drive":  # what was said of it is asked again
-                    now.done = {
-                        number: done
-                        for number, done in now.done.items()
-                        if number < page or done["position"] != old["position"]
-                    }
+                    for number, done in [*now.done.items()]:
+                        if number > page and done["position"] == old["position"]:
+                            del now.done[number]
             case "model":
                 now.model = dict(event)
             case "enrol":
@@ -142,16 +140,11 @@ class Attempt(NamedTuple):
         child = np.random.SeedSequence(self.plan.content["seed"], spawn_key=key)
         return int(child.generate_state(1)[0])
 
-    def settings(self, model: dict | None) -> tuple[dict, dict]:
-        """
-        Return what determines the drive but for the commands, and what else the log begins with:
-        the condition, and where the participant's model comes from.
-        """
-        known = model or stand_in(self.plan.content, "no identification drive")
+    def settings(self, model: dict | None) -> dict:
+        """Return what determines the drive but for the commands."""
         name = self.step.page.name
         condition = str(self.step.condition) if name == "drive" else name
-        config = drive_of(self.plan.content, condition, self.seed, model)
-        return config, {"condition": condition, "source": known["source"], "why": known["why"]}
+        return drive_of(self.plan.content, condition, self.seed, model)
 
     def read(self, link: str | None = None) -> tuple[Record | None, str]:
         """
@@ -182,7 +175,6 @@ class Attempt(NamedTuple):
             attempt=self.number,
             thresholds_from=record.header["source"],
             participant=self.code,
-            condition=record.header["condition"],
             synthetic=self.plan.rehearsal,
         )
 
@@ -303,10 +295,10 @@ class Participant:
         """Answer a message of a page that drives; see `Trial.take`."""
         self.last_request = time.time()
         step = self.step
-        if step.page.kind != "drive" or message.get("page") != step.index:
+        # What this window drove is over, or was begun again.
+        over = self.trial is None and "begin" not in message
+        if over or step.page.kind != "drive" or message.get("page") != step.index:
             return {"done": True}
-        if "begin" not in message and self.trial is None:
-            return {"done": True}  # what this window drove is over, or was begun again
         attempt = self.attempt(step)
         trial = self._trial(attempt)
         if self.scripted and isinstance(message.get("commands"), list):
@@ -327,17 +319,18 @@ class Participant:
     def _trial(self, attempt: Attempt) -> Trial:
         """Return the run of an attempt at a drive, begun where it was not."""
         if self.trial is None or self.trial.log.path != attempt.path:
-            config, facts = attempt.settings(self.progress.model)
-            trial = Trial(attempt.path, self.plan.task, config, attempt.origin, **facts)
+            model = self.progress.model
+            settings = attempt.settings(model)
+            source = (model or stand_in(self.plan.content))["source"]
+            trial = Trial(attempt.path, self.plan.task, settings, attempt.origin, source=source)
             if not trial.record.commands:
                 self.add("begin", page=attempt.step.index, attempt=attempt.number)
             self._note_torn(trial.log)
             self.trial = trial  # only now: what could not be told of is begun again
             if self.scripted:
-                task, config = self.plan.task, trial.settings
-                rng = np.random.default_rng([config["seed"], 1])  # not the noise of the robot
-                hand = task.hand(config, rng)
-                self.script, _ = scripted_commands(task, config, hand)
+                rng = np.random.default_rng([attempt.seed, 1])  # not the noise of the robot
+                hand = trial.task.hand(trial.settings, rng)
+                self.script, _ = scripted_commands(trial.task, trial.settings, hand)
         return self.trial
 
     def _identify(self) -> None:

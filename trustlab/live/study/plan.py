@@ -43,7 +43,7 @@ from trustlab.models.checks import (
     whole_seed,
 )
 from trustlab.models.digest import digest
-from trustlab.models.display import as_html
+from trustlab.models.display import Result
 from trustlab.models.files import path_of, write_atomically
 from trustlab.studies.designs import latin_square_design
 
@@ -64,7 +64,7 @@ class DeletedError(ValueError):
     """What is asked for belongs to a participant who was deleted."""
 
 
-class LiveStudy:
+class LiveStudy(Result):
     """
     A within-subject study that people take part in with a browser.
 
@@ -116,7 +116,7 @@ class LiveStudy:
     >>> import trustlab as tl
     >>> folder = tempfile.mkdtemp()
     >>> tl.LiveStudy(f"{folder}/rehearsal", ["C1", "C3"], participants=4, seed=0, rehearsal=True)
-    LiveStudy('rehearsal': 4 participants, C1, C3)
+    <Live study rehearsal: 4 participants, C1, C3; rehearsal by scripted hands>
     """
 
     def __init__(
@@ -361,19 +361,16 @@ class LiveStudy:
         table.columns = pd.RangeIndex(1, table.shape[1] + 1, name="position")
         return table.rename_axis(index="participant")
 
-    def _repr_html_(self) -> str:
-        kind = " Rehearsal by scripted hands." if self.rehearsal else ""
-        words = (
-            f"{len(self.orders)} participants, seed {self.content['seed']}, task "
-            f"{self.content['task']}.{kind}"
-        )
-        return as_html(words, self.table(), title=f"Live study {self.folder.name}")
+    @property
+    def title(self) -> str:
+        """Which study."""
+        return f"Live study {self.folder.name}"
 
-    def __repr__(self) -> str:
-        return (
-            f"LiveStudy({self.folder.name!r}: {len(self.orders)} participants, "
-            f"{', '.join(self.content['conditions'])})"
-        )
+    @property
+    def message(self) -> str:
+        """How many take part under which conditions, and whether it is a rehearsal."""
+        kind = "; rehearsal by scripted hands" if self.rehearsal else ""
+        return f"{len(self.orders)} participants, {', '.join(self.content['conditions'])}{kind}"
 
 
 def _groups(

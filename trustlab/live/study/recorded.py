@@ -16,12 +16,12 @@ import numpy as np
 import pandas as pd
 
 from trustlab.live.log import read_log
-from trustlab.live.study.pages import Step, StudyPage
-from trustlab.live.study.participant import Attempt, Progress, progress_of
+from trustlab.live.study.pages import Step
+from trustlab.live.study.participant import Attempt, progress_of
 from trustlab.live.study.plan import EVENTS, PLAN, LiveStudy, file_origin, read_links
 from trustlab.live.task import LEAST_ROWS
 from trustlab.live.trial import Record
-from trustlab.models.display import as_html
+from trustlab.models.display import Result
 from trustlab.models.extras import extra
 from trustlab.models.files import path_of, write_atomically
 from trustlab.sessions.session import Session
@@ -52,33 +52,24 @@ FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 PACKAGE = Path(__file__).parents[2]
 NOTEBOOK = Path(__file__).with_name("report.ipynb")
-# What the page may do: show what it brings, run nothing and fetch nothing.
-POLICY = (
-    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; form-action 'none'; "
-    "base-uri 'none'"
-)
-HEAD = f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="{POLICY}">
-<title>Report of a live study</title><style>
-:root {{ color-scheme: light dark; }}
-body {{ max-width: 62rem; margin: auto; padding: 1rem; font: 1rem/1.5 sans-serif; }}
-table {{ border-collapse: collapse; font-size: .85rem; }}
-td, th {{ padding: .1rem .5rem; text-align: right; border-bottom: 1px solid #8885; }}
-.output_subarea, .text_cell_render {{ overflow-x: auto; }}
-.prompt, .anchor-link {{ display: none; }}
-img {{ max-width: 100%; background: #fff; }} h1, h2, h3 {{ line-height: 1.2; }}
-</style></head><body><main>
-"""
 
 
-class ParticipantRecord(NamedTuple):
-    """A participant's events, where they lead to, and what is wrong with their file."""
+class ParticipantRecord:
+    """
+    A participant's way through the study, their events up to the first line that was changed, where
+    these lead to, and what is wrong with their file.
 
-    events: list[dict]
-    progress: Progress
-    fault: str
+    `link` is what was written down of the events beside the study.
+    """
+
+    def __init__(self, plan: LiveStudy, code: str, link: str | None):
+        path = plan.folder / code / f"{EVENTS}.jsonl"
+        reading = read_log(path, file_origin(plan.digest, code, EVENTS))
+        self.steps, self.events = plan.steps(code), reading.entries
+        self.progress = progress_of(self.events)
+        self.fault = reading.fault if link or path.exists() else ""  # else nothing has happened yet
+        if not self.fault and link not in (None, *reading.links):
+            self.fault = f"{path.name}: its last lines are missing"
 
 
 class RecordedDrive(NamedTuple):
@@ -91,19 +82,6 @@ class RecordedDrive(NamedTuple):
     finished: bool
     record: Record | None
     fault: str
-
-
-def participant_record(plan: LiveStudy, code: str, link: str | None) -> ParticipantRecord:
-    """
-    Return a participant's record: the events up to the first line that was changed. `link` is what
-    was written down of the events beside the study.
-    """
-    path = plan.folder / code / f"{EVENTS}.jsonl"
-    reading = read_log(path, file_origin(plan.digest, code, EVENTS))
-    fault = reading.fault if link or path.exists() else ""  # else nothing has happened yet
-    if not fault and link not in (None, *reading.links):
-        fault = f"{path.name}: its last lines are missing"
-    return ParticipantRecord(reading.entries, progress_of(reading.entries), fault)
 
 
 def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
@@ -140,7 +118,7 @@ def read_live_study(folder: str | os.PathLike) -> "RecordedStudy":
     return RecordedStudy(LiveStudy.open(folder))
 
 
-class RecordedStudy:
+class RecordedStudy(Result):
     """
     A live study as it stands on the disk.
 
@@ -166,8 +144,18 @@ class RecordedStudy:
         self.plan, self.task, self.deleted = plan, plan.task, plan.deleted()
         self.origin = REHEARSAL if plan.rehearsal else ""
         self.records = {
-            code: participant_record(plan, code, links.get(code)) for code in plan.present()
+            code: ParticipantRecord(plan, code, links.get(code)) for code in plan.present()
         }
+
+    @property
+    def title(self) -> str:
+        """Which study."""
+        return self.plan.title
+
+    @property
+    def message(self) -> str:
+        """The summary."""
+        return self.summary()
 
     @cached_property
     def _drives(self) -> list[RecordedDrive]:
@@ -177,33 +165,34 @@ class RecordedStudy:
         """
         drives = []
         for code, record in self.records.items():
-            steps, begun = self.plan.steps(code), [e for e in record.events if e["kind"] == "begin"]
-            for page, number in dict.fromkeys((e["page"], e["attempt"]) for e in begun):
-                attempt = Attempt(self.plan, code, steps[page], number)
+            begun = [(e["page"], e["attempt"]) for e in record.events if e["kind"] == "begin"]
+            for page, number in dict.fromkeys(begun):
+                attempt = Attempt(self.plan, code, record.steps[page], number)
                 end = record.progress.done.get(page, {})
                 finished = end.get("attempt") == number
-                log, fault = attempt.read(end["link"] if finished else None)
-                drives.append(RecordedDrive(attempt, finished, log, fault))
+                log = attempt.read(end["link"] if finished else None)
+                drives.append(RecordedDrive(attempt, finished, *log))
         return drives
 
     @cached_property
-    def _conditions(self) -> list[RecordedDrive]:
+    def _conditions(self) -> dict[tuple[str, str | None], RecordedDrive]:
         """
-        The finished drives under a condition, each with what is wrong with the files that it rests
-        on.
+        The finished drive of each participant and condition, with what is wrong with the files that
+        it rests on.
         """
-        drives = []
+        drives = {}
         for drive in self._drives:
-            if drive.finished and drive.attempt.step.page.name == "drive":
-                faults = filter(None, (self.records[drive.attempt.code].fault, drive.fault))
-                drives.append(drive._replace(fault="; ".join(faults)))
+            code, step = drive.attempt.code, drive.attempt.step
+            if drive.finished and step.page.name == "drive":
+                faults = filter(None, (self.records[code].fault, drive.fault))
+                drives[code, step.condition] = drive._replace(fault="; ".join(faults))
         return drives
 
     @cached_property
     def _sessions(self) -> list[Session]:
         return [
             drive.attempt.session(drive.record, drive.fault)
-            for drive in self._conditions
+            for drive in self._conditions.values()
             if drive.record and len(drive.record.rows) >= LEAST_ROWS
         ]
 
@@ -245,17 +234,17 @@ class RecordedStudy:
         """
         rows = []
         for code, record in self.records.items():
-            steps, now = self.plan.steps(code), record.progress
+            now, pages = record.progress, len(record.steps) - 1
             model = now.model or {}
-            done = [step for step in steps if step.index in now.done]
+            done = [step for step in record.steps if step.index in now.done]
             rows.append(
                 {
                     "participant": code,
                     "order": " ".join(self.plan.orders[code]),
                     "pages_done": len(now.done),
-                    "pages": len(steps) - 1,
+                    "pages": pages,
                     "drives": sum(step.page.name == "drive" for step in done),
-                    "complete": len(now.done) == len(steps) - 1,
+                    "complete": len(now.done) == pages,
                     "ended": now.ended,
                     "withdrawn": now.withdrawn,
                     "completion": now.completion,
@@ -294,16 +283,14 @@ class RecordedStudy:
             A row per answer: participant, position and condition (NaN and None for pages that
             belong to no drive), page, item, answer (NaN where it is words), text.
         """
-        rows = [
-            (code, step.position, step.condition, step.page.name, item, answer)
-            for code, record in self.records.items()
-            for step in self.plan.steps(code)
-            for item, answer in record.progress.answers(step.index).items()
-        ]
-        frame = pd.DataFrame(rows, columns=[*KEYS, "page", "item", "answer"])
-        words = frame["answer"].map(lambda answer: isinstance(answer, str)).astype(bool)
-        frame["text"] = frame["answer"].where(words, "")
-        frame["answer"] = frame["answer"].mask(words)
+        rows = []
+        for code, record in self.records.items():
+            for step in record.steps:
+                place = (code, step.position, step.condition, step.page.name)
+                for item, answer in record.progress.answers(step.index).items():
+                    parts = (np.nan, answer) if isinstance(answer, str) else (answer, "")
+                    rows.append((*place, item, *parts))
+        frame = pd.DataFrame(rows, columns=[*KEYS, "page", "item", "answer", "text"])
         types = {"position": float, "answer": float, "text": "str"}
         return self._labelled(frame.astype(types), group=False)
 
@@ -317,14 +304,14 @@ class RecordedStudy:
         answers = answers[~answers["participant"].isin(changed)]
         scores = {}
         for page in self.plan.pages:
-            items = [item.name for item in page.scales]
-            rows = answers[(answers["page"] == page.name) & answers["item"].isin(items)]
+            rows = answers[answers["page"] == page.name]
             if page.scored and len(rows):
+                form = page.questionnaire
+                rows = rows[rows["item"].isin(form.items)]
                 condition = "condition" if page.section == "each" else None
-                keys = ["participant", condition] if condition else ["participant"]
+                keys = ["participant", "condition"] if condition else ["participant"]
                 wide = rows.pivot_table("answer", keys, "item", sort=False).reset_index()
                 wide.attrs = answers.attrs
-                form = page.questionnaire
                 scores[page.name] = score(wide, form, subject="participant", condition=condition)
         return scores
 
@@ -373,16 +360,12 @@ class RecordedStudy:
             file with a fault, and the participants who are left out with them, as every condition
             is needed of each.
         """
-        reasons = {
-            (drive.attempt.code, drive.attempt.step.condition): drive.fault
-            for drive in self._conditions
-        }
-        undriven = "not driven to its end"
-        rows = [
-            (code, condition, reasons.get((code, condition), record.fault or undriven))
-            for code, record in self.records.items()
-            for condition in self.plan.orders[code]
-        ]
+        rows = []
+        for code, record in self.records.items():
+            for condition in self.plan.orders[code]:
+                drive = self._conditions.get((code, condition))
+                undriven = record.fault or "not driven to its end"
+                rows.append((code, condition, drive.fault if drive else undriven))
         return _with_reason(rows, ["participant", "condition", "reason"])
 
     def complete(self) -> pd.DataFrame:
@@ -494,14 +477,16 @@ class RecordedStudy:
         origin = provenance(PACKAGE.parent, NOTEBOOK, run) | {"Data": PLAN}
         exporter = HTMLExporter(template_name="basic", embed_images=True, exclude_input=True)
         body, _ = exporter.from_notebook_node(nbformat.reads(chapter(run, origin), as_version=4))
-        page = f"{HEAD}{body}</main></body></html>".replace(str(folder), folder.name)
+        page = NOTEBOOK.with_suffix(".html").read_text(encoding="utf-8")
+        page = page.replace("{body}", body).replace(str(folder), folder.name)
         write_atomically(target.absolute(), anonymous(page, PACKAGE.parent))
         return target
 
     def export(self, path: str | os.PathLike | None = None) -> Path:
         """
-        Write everything as one zip: participants, answers, measures, samples of every drive, items,
-        exclusions and faults, each as CSV and Parquet, and a README with what columns mean.
+        Write everything as one zip: participants, answers, measures, samples of every drive,
+        exclusions and faults, each as CSV and Parquet, and a README with what columns mean. The
+        words of the items are in `study.json`.
 
         Parameters
         ----------
@@ -519,25 +504,16 @@ class RecordedStudy:
             "answers": self.answers(),
             "measures": self.measures,
             "samples": samples_of(self._sessions),
-            "items": items_of(self.plan.pages),
             "exclusions": self.exclusions(),
             "faults": self.faults(),
         }
         target = self.plan.folder / "report-data.zip" if path is None else path_of("path", path)
-        about = f"Live study {self.plan.folder.name}. {self.summary()}"
-        write_export(target, tables, about, self.task.name)
+        write_export(target, tables, f"{self.title}. {self.message}", self.task.name)
         return target
 
     def table(self) -> pd.DataFrame:
         """Return `measures`."""
         return self.measures
-
-    def _repr_html_(self) -> str:
-        title = f"Live study {self.plan.folder.name}"
-        return as_html(self.summary(), self.participants, title=title)
-
-    def __repr__(self) -> str:
-        return f"RecordedStudy({self.plan.folder.name!r}: {self.summary()})"
 
 
 def _with_reason(rows: list[tuple[str, str, str]], columns: list[str]) -> pd.DataFrame:
@@ -618,16 +594,3 @@ def samples_of(sessions: list[Session]) -> pd.DataFrame:
         tables[meta.participant, meta.more["position"], meta.condition] = session.data
     names = ["participant", "position", "condition", "t"]
     return pd.concat(tables, names=names).reset_index() if tables else pd.DataFrame()
-
-
-def items_of(pages: list[StudyPage]) -> pd.DataFrame:
-    """Return every item that people were asked, with its words."""
-    rows = []
-    for page in pages:
-        # Items of a printed questionnaire do not say so themselves.
-        turned = page.questionnaire.reversed if page.scored else ()
-        for item in page.items:
-            expected = "" if item.expected is None else str(item.expected)
-            more = {"choices": "; ".join(item.choices), "expected": expected}
-            rows.append({"page": page.name, **vars(item), "reversed": item.name in turned, **more})
-    return pd.DataFrame(rows).rename(columns={"name": "item", "text": "words"})

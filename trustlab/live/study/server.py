@@ -14,6 +14,7 @@ import json
 import re
 import resource
 import threading
+from collections import defaultdict
 from collections.abc import Awaitable, Container
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
@@ -33,7 +34,6 @@ from trustlab.live.study.plan import (
     drive_of,
     is_deleted,
     read_tokens,
-    tokens_path,
 )
 from trustlab.live.task import prepare
 from trustlab.live.trial import made_by
@@ -60,8 +60,8 @@ HOME = "127.0.0.1"
 LARGEST_BODY = 100_000
 """Bytes of a request or message."""
 
-MOST_CONNECTIONS, MOST_OF_ADDRESS = 1000, 100
-"""Connections in all, and of one address; behind a proxy all have its address."""
+MOST_CONNECTIONS = 1000
+"""Connections in all; from elsewhere all come by the proxy."""
 
 WRITERS = 64
 """Requests that may wait for the disk at once: a slow one holds up its own participant alone."""
@@ -91,7 +91,7 @@ class Base(tornado.web.RequestHandler):
     before anything else. That of nobody allowed is as if the page did not exist.
     """
 
-    def initialize(self, allowed: Container[str] | None = None, name: str = "") -> None:
+    def initialize(self, allowed: Container[str] | None, name: str = "") -> None:
         """Keep whose links lead here, and the file of a page."""
         self.allowed, self.name = allowed, name
 
@@ -117,13 +117,6 @@ class Base(tornado.web.RequestHandler):
             if self.who not in self.allowed:
                 raise tornado.web.HTTPError(404)
 
-    def missing(self, *_: str) -> None:
-        """Answer that there is no such page."""
-        raise tornado.web.HTTPError(404)
-
-    get: Any = missing
-    post: Any = missing
-
     @property
     def server(self) -> StudyServer:
         """The server."""
@@ -148,10 +141,7 @@ class Base(tornado.web.RequestHandler):
         """Answer with what work returns, or with why it cannot be done."""
         try:
             self.write(await work)
-            if self.request.method == "POST":
-                self.server.disk_said("")
-        except OSError as error:
-            self.server.disk_said(error.strerror or str(error))
+        except OSError:
             self.set_status(507)
             self.finish({"error": f"nothing can be saved: {self.server.disk}"})
         except AnswerError as error:
@@ -173,9 +163,18 @@ class Base(tornado.web.RequestHandler):
             self.finish({"error": status_code})
 
     def log_exception(self, kind: Any, value: Any, traceback: Any) -> None:
-        """Log a mistake of ours, without the address of the request, which is somebody's link."""
-        if not isinstance(value, tornado.web.HTTPError):
-            self.server.mistaken((kind, value, traceback))
+        """
+        Log a mistake of ours, each once, without the address of the request, which is somebody's
+        link.
+        """
+        # A request is cancelled where the server stops, and its page is gone.
+        if isinstance(value, tornado.web.HTTPError | asyncio.CancelledError):
+            return
+        mistakes = self.server.mistakes
+        if repr(value) not in mistakes:
+            about = (kind, value, traceback)
+            tornado.log.app_log.error("a request could not be answered", exc_info=about)
+        mistakes.append(repr(value))
 
 
 def parsed(text: str | bytes) -> dict:
@@ -292,9 +291,7 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
         try:
             message = parsed(text) | {"page": int(self.path_args[1])}
             answer = await self.server.ask(self.who, "drive", message)
-            self.server.disk_said("")
-        except OSError as error:
-            self.server.disk_said(error.strerror or str(error))
+        except OSError:
             answer = {"trouble": words["disk"]}
         except DeletedError:
             answer = {"done": True}
@@ -305,18 +302,16 @@ class DriveSocket(tornado.websocket.WebSocketHandler, Base):
 
 
 class Listener(tornado.httpserver.HTTPServer):
-    """A server that closes connections beyond a number, in all and of an address."""
+    """A server that closes connections beyond a number."""
 
-    most, most_of_address = MOST_CONNECTIONS, MOST_OF_ADDRESS
+    most = MOST_CONNECTIONS
 
     def handle_stream(self, stream: Any, address: tuple) -> None:
         """Take a connection, or close it."""
-        contexts: list[Any] = [connection.context for connection in self._connections]
-        same = sum(context.address[:1] == address[:1] for context in contexts)
-        if len(contexts) >= self.most or same >= self.most_of_address:
-            stream.close()
-        else:
+        if len(self._connections) < self.most:
             super().handle_stream(stream, address)
+        else:
+            stream.close()
 
 
 ADDRESS = re.compile(r"(http(s?)://(?:[a-z0-9.-]+|\[[0-9a-f:]+\]))(:\d+)?/?")
@@ -365,25 +360,19 @@ class StudyServer:
         holes = {name: escape(text) for name, text in told.items()}
         for path in STATIC.glob("*.html"):
             self.files[path.name] = path.read_text(encoding="utf-8").format_map(holes).encode()
-        self.queues: dict[str, asyncio.Lock] = {}
+        self.queues: dict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
         self.participants: dict[str, Participant] = {}
         self.damaged: dict[str, str] = {}  # participants who cannot go on, and why
         self.tokens: dict[str, str] = {}
-        self.tokens_at = 0
         self.started = threading.Event()
         self.disk = ""
         self.mistakes = []
 
     def holder(self, token: str) -> str | None:
-        """
-        Return whose token this is; the file is read again when it has changed, as when someone was
-        deleted.
-        """
-        at = tokens_path(self.plan.folder).stat().st_mtime_ns
-        if at != self.tokens_at:
-            self.tokens, self.tokens_at = read_tokens(self.plan.folder), at
+        """Return whose token this is, if it is somebody's who was not deleted."""
         # A lookup by hash: the time that it takes tells nothing of the tokens.
-        return {known: name for name, known in self.tokens.items()}.get(token)
+        name = {known: name for name, known in self.tokens.items()}.get(token)
+        return name if name and not is_deleted(self.plan.folder, name) else None
 
     def participant(self, code: str) -> Participant:
         """Return a participant."""
@@ -398,8 +387,17 @@ class StudyServer:
 
     async def ask(self, code: str, request: str, body: dict) -> Any:
         """Let a participant answer a request, in a thread, after those before it."""
-        async with self.queues.setdefault(code, asyncio.Lock()):
-            return await asyncio.to_thread(lambda: getattr(self.participant(code), request)(body))
+        try:
+            async with self.queues[code]:
+                answer = await asyncio.to_thread(
+                    lambda: getattr(self.participant(code), request)(body)
+                )
+        except OSError as error:
+            self.disk_said(error.strerror or str(error))
+            raise
+        if request != "state":  # which need not write
+            self.disk_said("")
+        return answer
 
     async def free_place(self) -> str:
         """Take the place of the next participant whom nobody is yet, and return its token."""
@@ -407,15 +405,6 @@ class StudyServer:
             if code not in self.damaged and await self.ask(code, "enrol", {}):
                 return self.tokens[code]
         raise RefusedError(self.words["full"])
-
-    def mistaken(self, error: Any) -> None:
-        """Note a mistake of ours; the log tells each kind once."""
-        if isinstance(error[1], asyncio.CancelledError):  # the server stops, and the page is gone
-            return
-        kind = repr(error[1])
-        if kind not in self.mistakes:
-            tornado.log.app_log.error("a request could not be answered", exc_info=error)
-        self.mistakes.append(kind)
 
     def disk_said(self, fault: str) -> None:
         """Note why nothing can be written, "" where it can; the log gets a line for each change."""
@@ -485,7 +474,7 @@ class StudyServer:
         anybody: dict = {"allowed": (JOIN,) if self.enrol else ()}
         return tornado.web.Application(
             [
-                (r"/static/([a-z_]+\.[a-z]+)", Frame),
+                (r"/static/([a-z_]+\.[a-z]+)", Frame, {"allowed": None}),
                 (rf"/p/{token}", Frame, people | {"name": "study.html"}),
                 (rf"/p/{token}/state", State, people),
                 (rf"/p/{token}/(answers|withdraw)", Tell, people),
@@ -493,8 +482,8 @@ class StudyServer:
                 (rf"/join/{token}", Join, anybody | {"name": "join.html"}),
                 (rf"/experimenter/{token}", Frame, lab | {"name": "experimenter.html"}),
                 (rf"/experimenter/{token}/(?:state|act)", Experimenter, lab),
+                (r"(.*)", Base, {"allowed": ()}),
             ],
-            default_handler_class=Base,
             log_function=lambda handler: None,
             websocket_max_message_size=LARGEST_BODY,
             websocket_ping_interval=20.0,  # who is gone without a word is let go
@@ -509,8 +498,7 @@ class StudyServer:
             idle_connection_timeout=HEADER_TIME,
             body_timeout=30.0,
         )
-        listener.most = min(MOST_CONNECTIONS, max(self.free_files, 10))
-        listener.most_of_address = listener.most if self.url else MOST_OF_ADDRESS
+        listener.most = self.most
         listener.add_sockets(sockets)
         self.loop, self.ending = asyncio.get_running_loop(), asyncio.Event()
         self.loop.set_default_executor(ThreadPoolExecutor(WRITERS))
@@ -546,10 +534,9 @@ class StudyServer:
         # Everybody has two logs, and the process some files of its own.
         own = 2 * len(self.plan.orders) + 50
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-        most = own + MOST_CONNECTIONS
-        soft = max(soft, most if hard == resource.RLIM_INFINITY else min(most, hard))
+        soft = max(soft, min(own + MOST_CONNECTIONS, hard))
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        self.free_files = soft - own
+        self.most = min(MOST_CONNECTIONS, max(soft - own, 10))
         for code in self.plan.present():
             try:
                 self.participants[code] = Participant(self.plan, code, self.plan.rehearsal)

@@ -144,7 +144,7 @@ class DriveSettings(Checked):
     >>> drives = tl.DriveSettings(laps=4, training=60.0)
     >>> folder = tempfile.mkdtemp() + "/rehearsal"
     >>> tl.LiveStudy(folder, ["C1", "C3"], 4, drives=drives, rehearsal=True)
-    LiveStudy('rehearsal': 4 participants, C1, C3)
+    <Live study rehearsal: 4 participants, C1, C3; rehearsal by scripted hands>
     """
 
     laps: int = 8
@@ -166,7 +166,7 @@ class DriveSettings(Checked):
     def as_json(self) -> dict:
         """Return the settings as plain values for `study.json`."""
         _, model, pair = printed_person(STAND_IN)
-        model = self.model or model
+        model, course = self.model or model, self.course
         pair = check_thresholds(model, self.thresholds or pair)
         return {
             "laps": self.laps,
@@ -174,20 +174,14 @@ class DriveSettings(Checked):
             "least_delay": self.least_delay,
             "identification": _schedule(self.identification),
             "stand_in": {"model": asdict(model), "thresholds": pair},
-            "course": _fields(self.course),
-            "robot": _fields(self.robot),
+            "course": course and {"corners": course.corners, "radius": course.radius},
+            "robot": self.robot and asdict(self.robot),
         }
 
 
 def model_of(content: dict) -> TscModel:
     """Return a model from what `asdict` made of it."""
     return TscModel(RobotModel(**content["robot"]), HumanModel(**content["human"]))
-
-
-def _fields(part: Any) -> dict | None:
-    """Return what a course or a robot was made from; None for the usual one."""
-    fields = asdict(part) if part else {}
-    return {name: value for name, value in fields.items() if not name.startswith("_")} or None
 
 
 def _schedule(phases: Any) -> list[list[float]]:
@@ -239,18 +233,18 @@ def drive_config(content: dict, condition: str, seed: int, known: dict | None = 
     task = Task(scheme, E_MAX, forced, laps, float(lower), float(upper), first).suggesting(model)
     switching = Switching(settling, float(rule.notice), model.human.a, **rule.weights)
     return run_config(
-        "ground_robot",
         condition,
         seed,
-        SAMPLE_TIME,
         seconds,
         {
             "v_command": [0.0, robot.max_speed],
             "w_command": [-robot.max_turn_rate, robot.max_turn_rate],
             "mode": [0, 1],
         },
-        [*COLUMNS, "laps"],
-        VIEW["delay"],
+        live_task="ground_robot",
+        sample_time=SAMPLE_TIME,
+        columns=[*COLUMNS, "laps"],
+        late=VIEW["delay"],
         facts=_facts(task, switching),
         schedule=schedule or None,
         task=task._asdict(),
@@ -356,8 +350,7 @@ def tick(k, v, w, mode, world, sensing, state, row):
     # A generator within the world would make every call 0.1 ms longer: its type is found in Python.
     task, robot = world.task, world.robot
     locate(world.course, k, row, state)
-    state.v_hand = min(max(v, 0.0), robot.max_speed)
-    state.w_hand = min(max(w, -robot.max_turn_rate), robot.max_turn_rate)
+    state.v_hand, state.w_hand = v, w
     perform(task, k, world.z_r, world.z_h, row, state)
     decide(task, world.switching, k * task.sample_time, mode, state)
     enter(row, state)
@@ -404,13 +397,12 @@ class Drive:
         return self.row
 
     def picture(self) -> dict:
-        """Return the pose, the way along the course [m], the laps and the last row."""
-        state = self.state
-        place = state["place"]
-        pose = {"x": place.real, "y": place.imag, "yaw": state["yaw"], "arc": state["arc"]}
+        """Return the pose, the laps and the last row."""
+        place, yaw = self.state["place"], self.state["yaw"]
+        pose = {"x": place.real, "y": place.imag, "yaw": yaw}
         pose = {name: round(float(value), 5) for name, value in pose.items()}
         row = [round(value, 4) for value in self.row] or None
-        return {**pose, "laps": int(state["laps"]), "row": row}
+        return {**pose, "laps": int(self.state["laps"]), "row": row}
 
 
 def _facts(task: Task, switching: Switching) -> dict:

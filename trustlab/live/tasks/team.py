@@ -1,5 +1,6 @@
 """A team as a live task: one person leads it to goals through whichever robot leads."""
 
+from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -61,8 +62,12 @@ SAMPLE_TIME = 0.01
 PULL = 0.12
 """Where a hand at the edge of its square wants the device to be [m]."""
 
+GAINS = ("coupling", "lead_gain", "force_gain")
 WITHIN = 40.0
-"""Gains of the team: time in which a leader that is held at a goal draws the others there [s]."""
+"""
+Gains that depend on the team's size, and the time in which they let a leader that is held at a goal
+draw the others there [s].
+"""
 
 FIELD = 4.0
 NEAREST = 3.0
@@ -116,12 +121,6 @@ class LeadingSettings(HandSettings):
         super().__post_init__()
         self.__dict__["robots"] = whole_number("robots", self.robots, least=3, most=6)
         self.__dict__["goals"] = whole_number("goals", self.goals, most=20)
-
-
-def gains_of(count: int) -> dict[str, float]:
-    """Return the gains that bring a team of this size to a goal in time."""
-    scaled = TeamSettings.scaled(ring(count), WITHIN)
-    return {name: getattr(scaled, name) for name in ("coupling", "lead_gain", "force_gain")}
 
 
 class PersonLeads:
@@ -228,25 +227,26 @@ def team_config(content: dict, condition: str, seed: int, known: dict | None = N
     """Return the settings of a run; start, goals and abilities are drawn from its seed."""
     rng = np.random.default_rng(seed)
     count = content["robots"]
+    scaled = TeamSettings.scaled(ring(count), WITHIN)
     start = np.zeros((count, 3))
     start[:, :2] = rng.uniform(-START, START, (count, 2))
     abilities = [ABILITIES[i] for i in rng.permutation(count)]
     return hand_config(
-        "team",
         content,
         condition,
         seed,
         [0, count],
+        live_task="team",
         chooses=condition in ("training", BY_HAND, SUGGESTED),
         start=start.tolist(),
         goals=_goals(content["goals"], rng),
         robots=[asdict(robot) for robot in abilities],
-        gains=gains_of(count),
+        gains={name: getattr(scaled, name) for name in GAINS},
         min_dwell=content["min_dwell"],
         facts={"min_dwell": content["min_dwell"]},
         tolerance=content["tolerance"],
         field=FIELD + START,
-        columns=[*COLUMNS, *(f"trust_{i}" for i in range(1, count + 1))],
+        columns=[*COLUMNS, *(f"trust_{i + 1}" for i in range(count))],
         late=0.0,
     )
 
@@ -374,22 +374,21 @@ def policy_agreement(sessions: Iterable[Session], seed: int = 0) -> pd.DataFrame
     ValueError
         If there is no occasion to choose.
     """
-    people: dict[str, np.ndarray] = {}
+    people: dict[str, np.ndarray] = defaultdict(lambda: np.zeros((len(ADVISERS), 3)))
     for session in sessions:
         about = session.metadata
         if about.condition == BY_HAND:
             table = occasions(session, about.more["min_dwell"])
-            sums = people.setdefault(str(about.participant), np.zeros((len(ADVISERS), 3)))
-            sums += [_sums(table, name) for name in ADVISERS]
-    total = sum(people.values(), np.zeros((len(ADVISERS), 3)))
-    if not total.any():
+            people[str(about.participant)] += [_sums(table, name) for name in ADVISERS]
+    sums = np.array([*people.values()])
+    if not sums.any():
         raise ValueError(f"nobody had an occasion to choose; runs in {BY_HAND!r} are needed")
     rng = np.random.default_rng(seed)
     drawn = rng.integers(len(people), size=(DRAWS, len(people)))
     low = high = np.nan
     if len(people) > 1:
-        kappas = _kappa(np.array(list(people.values()))[drawn].sum(axis=1))
-        low, high = np.nanpercentile(kappas, ENDS, axis=0)
+        low, high = np.nanpercentile(_kappa(sums[drawn].sum(axis=1)), ENDS, axis=0)
+    total = sums.sum(axis=0)
     count, agreed, chance = total.T
     columns = {"participants": len(people), "occasions": count.astype(int)}
     columns |= {"agreement": agreed / count, "chance": chance / count, "kappa": _kappa(total)}
@@ -399,8 +398,6 @@ def policy_agreement(sessions: Iterable[Session], seed: int = 0) -> pd.DataFrame
 
 def _sums(table: pd.DataFrame, policy: str) -> tuple[float, float, float]:
     """Return occasions of a run, agreements, and those expected by chance."""
-    if table.empty:
-        return 0.0, 0.0, 0.0
     chosen, picked = table["chosen"], table[policy]
     shares = chosen.value_counts(normalize=True)
     expected = shares.mul(picked.value_counts(), fill_value=0.0).sum()

@@ -95,11 +95,11 @@ class LiveFlight:
     """A flight, stepped by a hand's place in its square and, in MMI, the share it allocates."""
 
     def __init__(self, config: dict, **parts: Any):
-        task, reach = TASKS[config["study"]], REACH[config["study"]]
-        arguments = {name: config[name] for name in ("scheme", "study", "guidance", "seed")}
-        arguments |= {"trust": trust_of(config), "duration": config["samples"] * PERIOD}
-        arguments |= {"operator": Teleoperator("live", reach=reach, noise=0.0), "task": task}
-        self.loop = TeleoperationLoop(**{**arguments, **parts})
+        reach = REACH[config["study"]]
+        usual = {name: config[name] for name in ("scheme", "study", "guidance", "seed")}
+        usual["operator"] = Teleoperator("live", reach=reach, noise=0.0)
+        usual |= {"trust": trust_of(config), "duration": config["samples"] * PERIOD}
+        self.loop = TeleoperationLoop(**{**usual, **parts})
         self.settings, self.task = self.loop.settings, self.loop.task
         self.reach = DEFLECTION * reach / np.broadcast_to(self.settings.weight, 3)[:2]
         self.samples = config["samples"]
@@ -127,8 +127,8 @@ class LiveFlight:
             for _ in range(0 if self.failed else self.every):
                 self.loop.step(hand=hand, alpha=alpha)
         except (DivergenceError, PartError) as error:
-            self.failed = str(error)  # the row of before stays
-        else:
+            self.failed = str(error)
+        if not self.failed:  # else the row of before stays
             run = self.loop.simulation
             self.last = run.log[run.done - 1]
             vectors = np.concatenate([self.last[name][:2] for name in VECTORS])
@@ -142,16 +142,14 @@ class LiveFlight:
         if self.failed:  # its numbers may be infinite
             return about | {"over": self.failed}
         if self.last is None:
-            nothing = [0.0, 0.0]
-            return about | dict.fromkeys(("target", "robot", "device", "force", "guide"), nothing)
-        now, scaling = self.last, -self.settings.force_scaling
+            return about | {name: [0.0, 0.0] for name in ("target", "robot", "device", "guide")}
+        now = self.last
         error = now["error"][:2]
         places = {
             "target": error,
             "robot": now["robot"][:2],
             "device": now["device"][:2] / self.reach,
-            "force": scaling * now["f_m"][:2],
-            "guide": scaling * now["guide"][:2],
+            "guide": -self.settings.force_scaling * now["guide"][:2],
         }
         shown = about | {name: np.round(place, 5).tolist() for name, place in places.items()}
         seen = bool((np.abs(error) <= self.task.view).all())
@@ -169,11 +167,11 @@ def flight_config(
     allocates = condition == "MMI"
     task = task or TASKS[content["study"]]
     return hand_config(
-        "teleoperation",
         content,
         condition,
         seed,
         [0.0, 1.0] if allocates else [-1.0, -1.0],
+        live_task="teleoperation",
         scheme="M" if condition == "training" else condition,
         allocates=allocates,
         study=content["study"],
