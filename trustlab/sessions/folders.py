@@ -31,8 +31,10 @@ class Header:
         path, key = self._path(match), self._key(match)
         rows = self._table(path)
         if key not in rows:
-            fault = f"the header {path} has no row for {self._words(key)}"
-            raise SessionError(f"{fault}; add it, or move the file out of the folder")
+            raise SessionError(
+                f"the header {path} has no row for {self._words(key)}; add it, or move the file "
+                "out of the folder"
+            )
         return {f"header.{name}": value for name, value in rows[key].items()}
 
     def check(self, paths: Sequence[str], matches: Mapping[str, PathMatch]) -> None:
@@ -45,8 +47,9 @@ class Header:
             used.get(self._path(match), set()).add(self._key(match))
         for header, keys in used.items():
             for key in self._table(header).keys() - keys:
-                fault = f"names {self._words(key)}, which has no file; add it or remove the row"
-                raise SessionError(fault, header)
+                raise SessionError(
+                    f"names {self._words(key)}, which has no file; add it or remove the row", header
+                )
 
     def _words(self, key: tuple[str, ...]) -> str:
         return ", ".join(map(" ".join, zip(self.rule.keys.values(), key, strict=True)))
@@ -97,9 +100,11 @@ def logs_in(folder: str) -> list[str]:
         )
     ]
     if not logs:
-        fault = f"there are no logs in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders)"
-        remedy = "for logs further down, give a recipe with a [files] pattern"
-        raise SessionError(f"{fault}; {remedy}", folder)
+        raise SessionError(
+            f"there are no logs in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders); "
+            "for logs further down, give a recipe with a [files] pattern",
+            folder,
+        )
     return sorted(logs, key=natural_key)
 
 
@@ -108,8 +113,11 @@ def matching(folder: str, pattern: PathPattern, header: Header | None) -> list[s
     paths = list(_files(folder))
     matches = {path: match for path in paths if (match := pattern.match(path))}
     if not matches:
-        fault = f"no file in it fits the recipe's pattern {pattern.text!r}"
-        raise SessionError(f"{fault} (there are {', '.join(paths[:3]) or 'none'} …)", folder)
+        raise SessionError(
+            f"no file in it fits the recipe's pattern {pattern.text!r} (there are "
+            f"{', '.join(paths[:3]) or 'none'} …)",
+            folder,
+        )
     same: dict[tuple, str] = {}
     for path, match in matches.items():
         key = tuple(match.fields.items())

@@ -114,6 +114,7 @@ from trustlab.models.checks import (
     shown,
     whole_number,
 )
+from trustlab.models.files import path_of
 from trustlab.sessions.errors import RecipeError, alternatives, source_named
 from trustlab.sessions.patterns import FieldPath, PathPattern
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY, to_si
@@ -337,8 +338,8 @@ def _column_rule(name: str, table: Any) -> ColumnRule:
         raise RecipeError(f"{where}: not in the vocabulary{hint}; {remedy}")
     kinds = [kind for kind in COLUMN_KINDS if isinstance(table, Mapping) and kind in table]
     if len(kinds) != 1:
-        fault = f"needs exactly one of {', '.join(COLUMN_KINDS)}"
-        raise RecipeError(f"{where}: {fault}, got {shown(table)}")
+        known = ", ".join(COLUMN_KINDS)
+        raise RecipeError(f"{where}: needs exactly one of {known}, got {shown(table)}")
     allowed = (kinds[0], *COLUMN_KINDS[kinds[0]])
     return parse(ColumnRule, table, where, allowed, name=name, kind=kinds[0])
 
@@ -353,12 +354,13 @@ class MetadataRule:
     default: Plain | None = None
 
     def __post_init__(self):
-        if bool(self.origin) == (self.value is not None):
-            raise ValueError("needs either from or value")
-        if self.map is None and self.default is not None:
-            raise ValueError("default goes with a map")
-        if self.value is not None and self.map is not None:
-            raise ValueError("value is a constant, which takes no map")
+        constant, mapped = self.value is not None, self.map is not None
+        if (
+            bool(self.origin) == constant
+            or mapped < (self.default is not None)
+            or constant & mapped
+        ):
+            raise ValueError("needs either from or value; from may have a map, and this a default")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -557,14 +559,11 @@ class Recipe:
             try:
                 document = tomllib.loads(text)
             except (ValueError, RecursionError) as error:
-                where = "texts need quotes; help(trustlab.sessions.recipe) has every key"
-                raise RecipeError(f"not a TOML file ({error}); {where}") from error
+                raise RecipeError(
+                    f"not a TOML file ({error}); texts need quotes; help(trustlab.sessions.recipe) "
+                    "has every key"
+                ) from error
             return parse(cls, document, "recipe", source=source)
-
-
-def _shipped() -> dict[str, Path]:
-    folder = Path(__file__).parent / "recipes"
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
 def load_recipe(recipe: str | os.PathLike | Recipe) -> Recipe:
@@ -584,14 +583,14 @@ def load_recipe(recipe: str | os.PathLike | Recipe) -> Recipe:
     """
     if isinstance(recipe, Recipe):
         return recipe
-    if not isinstance(recipe, str | os.PathLike):
-        raise RecipeError(f"a recipe is a name, a path or a Recipe, got {type(recipe).__name__}")
-    shipped = _shipped()
-    path = shipped.get(str(recipe), Path(recipe)) if isinstance(recipe, str) else Path(recipe)
+    path = path_of("recipe", recipe)
+    shipped = {each.stem: each for each in (Path(__file__).parent / "recipes").glob("*.toml")}
+    path = shipped.get(str(recipe), path)
     if not os.path.isfile(path):
-        hint = did_you_mean(path.stem, shipped)
-        fault = f"there is no recipe {str(recipe)!r}, neither as a file nor by name"
-        raise RecipeError(f"{fault}{hint} (known: {', '.join(shipped)})")
+        known = alternatives(path.stem, sorted(shipped))
+        raise RecipeError(
+            f"there is no recipe {str(recipe)!r}, neither as a file nor by name{known}"
+        )
     try:
         text = path.read_bytes().decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:

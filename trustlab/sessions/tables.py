@@ -8,7 +8,6 @@ from codecs import BOM_UTF8
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -42,86 +41,80 @@ def suffix_of(path: Path) -> str:
     return "".join(path.suffixes[-2 if path.suffix.lower() == ".gz" else -1 :]).lower()
 
 
-def positions(chosen: Chosen, names: Sequence[str], header: bool = True) -> dict[str, int]:
-    """Return where the chosen columns stand in a file; without a header they have numbers."""
+def positions(chosen: Chosen, titles: Sequence[str]) -> dict[str, int]:
+    """Return where the chosen columns stand in a file, by the session's name of each."""
     if chosen is None:
-        for name in names:
+        for name in titles:
             if NUMBER.fullmatch(name):
-                remedy = (
-                    "add a line of names, or a recipe with the lines [table] and header = false"
+                raise SessionError(
+                    "found numbers instead of column names; add a line of names, or a recipe with "
+                    "the lines [table] and header = false"
                 )
-                raise SessionError(f"found numbers instead of column names; {remedy}")
             if name != "t":
                 known_column(name)
-        chosen = {name: name for name in ("t", *names)}
-    titles: list[Any] = [*names] if header else [*range(len(names))]
+        chosen = {name: name for name in ("t", *titles)}
     places = {}
     for name, column in chosen.items():
-        column = str(column) if header else column  # streams of XDF come with numbers for names
-        if titles.count(column) != 1:
+        title = str(column)  # columns without names have numbers, as in streams of XDF
+        if titles.count(title) != 1:
             fault = "occurs twice; rename or remove one"
-            if column not in titles:
-                hint = "; time needs the name t" if column == "t" else ""
-                fault = f"is missing{hint}{alternatives(column, titles, 'there are')}"
-            use = "" if column == name else f" (for {name})"
+            if title not in titles:
+                hint = "; time needs the name t" if title == "t" else ""
+                fault = f"is missing{hint}{alternatives(title, titles, 'there are')}"
+            use = "" if title == name else f" (for {name})"
             raise SessionError(f"column {column!r}{use} {fault}")
-        places[name] = titles.index(column)
+        places[name] = titles.index(title)
     return places
 
 
-def read_parquet(path: Path, chosen: Chosen, layout: TableRule) -> Table:
+def read_parquet(path: Path, chosen: Chosen, decimal: str) -> Table:
     """Return the table in a Parquet file."""
     import pyarrow.parquet as pq
 
     with damage_named("not a table of this format, or a damaged one", "copy or write it again"):
         schema = pq.read_schema(path)
-        places = positions(chosen, schema.names, layout.header)
+        places = positions(chosen, schema.names)
         content = pq.read_table(path, columns=[*{schema.names[k]: k for k in places.values()}])
         content.validate(full=True)
         frame = content.to_pandas(ignore_metadata=True)
     frame = pd.DataFrame({name: frame[schema.names[k]] for name, k in places.items()}, copy=False)
     text = (schema.metadata or {}).get(b"trustlab")
     metadata = metadata_from_json(text.decode("utf-8", "replace"))[0] if text else Metadata()
-    return Table(frame, "row {} (from 0)".format, metadata, decimal=layout.decimal)
+    return Table(frame, "row {} (from 0)".format, metadata, decimal=decimal)
 
 
-def frame_table(frame: pd.DataFrame, chosen: Chosen, layout: TableRule) -> Table:
+def frame_table(frame: pd.DataFrame, chosen: Chosen, decimal: str) -> Table:
     """Return the table in a data frame; an index with a name is a column as well."""
     index = frame.index.name
     if index is not None and index in frame:
         raise SessionError(f"{index!r} is both index and column; frame.reset_index(drop=True)")
     frame = frame.reset_index(drop=index is None)
-    places = positions(chosen, [str(name) for name in frame.columns], layout.header)
+    places = positions(chosen, [str(name) for name in frame.columns])
     columns = {name: frame.iloc[:, place].copy() for name, place in places.items()}
     frame = pd.DataFrame(columns, copy=False)
-    return Table(frame, "row {} (from 0)".format, decimal=layout.decimal)
+    return Table(frame, "row {} (from 0)".format, decimal=decimal)
 
 
 def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[str]) -> Table:
     """Return the table in a text file; `texts` are columns that no numbers are made of here."""
     usual = "\t" if suffix_of(path).startswith(".tsv") else ","
     layout = replace(layout, delimiter=layout.delimiter or usual)
-    source: bytes | Path = path
+    source = path.read_bytes()
     if path.suffix.lower() == ".gz":
         with damage_named("not a gzip file, or a damaged or truncated one", "copy it again"):
-            source = gzip.decompress(path.read_bytes())
+            source = gzip.decompress(source)
     if layout.delimiter == " ":  # a run of which separates once
-        with _opened(source) as file:
-            spaced = re.sub(rb" {2,}", b" ", file.read())
-        source = re.sub(rb"(?m)^ +| +(?=\r?$)", b"", spaced)
-    with _opened(source) as file:
-        head = file.read(HEAD).removeprefix(BOM_UTF8)
-        file.seek(max(0, file.size() - HEAD))
-        end = file.read()
-    text = io.TextIOWrapper(io.BytesIO(head), layout.encoding, "surrogateescape", newline="")
-    lines = [*text] or [""]
+        source = re.sub(rb"(?m)^ +| +(?=\r?$)", b"", re.sub(rb" {2,}", b" ", source))
+    head = io.BytesIO(source[:HEAD].removeprefix(BOM_UTF8))
+    lines = [*io.TextIOWrapper(head, layout.encoding, "surrogateescape", newline="")] or [""]
     before, metadata = layout.skip_lines, Metadata()
     if lines[0].startswith(COMMENT) and not before:
         before, metadata = 1, metadata_from_json(lines[0][len(COMMENT) :])[0]
     try:
         rows = csv.reader(lines[before:], delimiter=layout.delimiter)
         names = [name.strip() for name in next(rows, [])]
-        places = positions(chosen, names, layout.header)
+        titles = names if layout.header else [*map(str, range(len(names)))]
+        places = positions(chosen, titles)
     except (SessionError, csv.Error) as error:
         refuse_encoding(source, layout.encoding)
         fault = f"a quotation mark that opens here does not close ({error})"
@@ -130,19 +123,13 @@ def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[st
         raise SessionError(f"line {before + 1}: {fault}") from error
     before += rows.line_num * layout.header  # a name may have a line break
     frame = _parsed(source, before, len(names), places, layout, {places[name] for name in texts})
+    end = source[-HEAD:]
     ends = end[len(end.rstrip(b"\r\n")) :]
     empty = max(ends.count(b"\n") or ends.count(b"\r"), 1) - 1
     cut = "has no end; the file may have been cut short in it"
     notes: dict[str, object] = {} if ends else {"last line": cut}
     place = lambda row: f"line {before + 1 + row}"  # noqa: E731
     return Table(frame.iloc[: len(frame) - empty], place, metadata, notes, layout.decimal)
-
-
-def _opened(source: bytes | Path) -> Any:
-    """Return a text to read, in memory or in a file, as Arrow's readers take it."""
-    import pyarrow as pa
-
-    return pa.BufferReader(source) if isinstance(source, bytes) else pa.OSFile(str(source))
 
 
 def _layout_fault(names: Sequence[str], layout: TableRule) -> str:
@@ -165,7 +152,7 @@ def _layout_fault(names: Sequence[str], layout: TableRule) -> str:
 
 
 def _parsed(
-    source: bytes | Path,
+    source: bytes,
     before: int,
     width: int,
     places: Mapping[str, int],
@@ -179,7 +166,7 @@ def _parsed(
     def read(texts: Collection[int], threads: bool) -> pa.Table:
         kinds = {str(k): pa.string() if k in texts else pa.float64() for k in places.values()}
         return pa.csv.read_csv(
-            _opened(source),
+            pa.BufferReader(source),
             pa.csv.ReadOptions(
                 column_names=[*map(str, range(width))],
                 skip_rows=before,
@@ -226,9 +213,8 @@ def _ragged(fault: str) -> str:
     return f"line {line}: has {cells} cells, but the first line has {width}; {hint}"
 
 
-def refuse_encoding(source: bytes | Path, encoding: str) -> None:
+def refuse_encoding(content: bytes, encoding: str) -> None:
     """Raise where a text has bytes that its encoding has not."""
-    content = _opened(source).read()
     if b"\0" in content[:HEAD]:
         raise SessionError("this is UTF-16 or no text at all; save the file as UTF-8")
     try:
