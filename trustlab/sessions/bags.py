@@ -33,18 +33,18 @@ def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> RawLog:
     """Return the log in a bag: a stream for each topic, timed from the last of the first stamps."""
     # A message that lacks the entry a rule selects is no sample of it, so that each selection is a
     # stream of its own.
-    groups: dict[tuple[str, str], list[ColumnRule]] = {}
+    groups = {}
     for rule in rules:
         groups.setdefault((rule.topic, rule.path.selectors), []).append(rule)
     if not groups:
         raise SessionError("none of the columns to read comes from a topic; add one that does")
-    samples: dict[tuple[str, str], list[tuple]] = {group: [] for group in groups}
-    count: Counter[str] = Counter()
-    frames: dict[str, object] = {}
+    samples = {group: [] for group in groups}
+    count = Counter()
+    frames = {}
     with _open(path) as reader:
         _check_topics(reader, rules)
         for topic, stamp, message in _messages(reader, {topic for topic, _ in groups}):
-            if recipe.time.of(topic) == "header":
+            if recipe.time.stamp_of(topic) == "header":
                 stamp = _header_stamp(message, topic)
             for (source, entry), members in groups.items():
                 if source == topic:
@@ -115,7 +115,7 @@ def read_written(path: Path, chosen: Chosen) -> Table:
 
 def _types(reader) -> dict[str, str]:
     """Return the topics of an open bag and the types of their messages."""
-    types: dict[str, set[str]] = {}
+    types = {}
     for connection in reader.connections:
         types.setdefault(str(connection.topic), set()).add(str(connection.msgtype))
     return {topic: " and ".join(sorted(kinds)) for topic, kinds in types.items()}
@@ -123,8 +123,7 @@ def _types(reader) -> dict[str, str]:
 
 def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
     """Yield topic, time of receipt [ns] and message, by time; all must be there."""
-    expected: Counter[str] = Counter()
-    count: Counter[str] = Counter()
+    expected, count = Counter(), Counter()
     with _guard():  # what is done with a message happens outside
         chosen = [connection for connection in reader.connections if connection.topic in topics]
         for connection in chosen:

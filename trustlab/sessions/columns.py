@@ -18,7 +18,7 @@ from trustlab.sessions.recipe import (
     ColumnRule,
     MetadataRule,
     Recipe,
-    TableTime,
+    TimeRule,
     looked_up,
     plain_key,
 )
@@ -211,7 +211,7 @@ def _number(cell: object, mapped: ColumnRule | None, decimal: str) -> float:
 # --- times --------------------------------------------------------------------------------------
 
 
-def times_of(table: Table, time: TableTime) -> np.ndarray:
+def times_of(table: Table, time: TimeRule) -> np.ndarray:
     """Return the times of a table's rows in seconds."""
     ways = {"iso": _dates, "clock": _times_of_day}
     raw = ways.get(time.unit, numbers)(table)

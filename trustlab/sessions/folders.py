@@ -28,7 +28,7 @@ class Header:
 
     def row(self, match: PathMatch) -> dict[str, object]:
         """Return the cells of a session, as "header." and the name of their column."""
-        path, key = self._path(match), self._key(match)
+        path, key = self._place(match)
         rows = self._table(path)
         if key not in rows:
             raise SessionError(
@@ -44,7 +44,8 @@ class Header:
         for path, match in matches.items():
             with source_named(path):
                 self.row(match)
-            used.get(self._path(match), set()).add(self._key(match))
+            header, key = self._place(match)
+            used.get(header, set()).add(key)
         for header, keys in used.items():
             for key in self._table(header).keys() - keys:
                 raise SessionError(
@@ -54,11 +55,10 @@ class Header:
     def _words(self, key: tuple[str, ...]) -> str:
         return ", ".join(map(" ".join, zip(self.rule.keys.values(), key, strict=True)))
 
-    def _path(self, match: PathMatch) -> str:
-        return os.path.join(match.base, self.rule.file.fill(match.texts))
-
-    def _key(self, match: PathMatch) -> tuple[str, ...]:
-        return tuple(plain_key(match.fields[name]) for name in self.rule.keys)
+    def _place(self, match: PathMatch) -> tuple[str, tuple[str, ...]]:
+        """Return the header file of a session, and the key of its row."""
+        path = os.path.join(match.base, self.rule.file.fill(match.texts))
+        return path, tuple(plain_key(match.fields[name]) for name in self.rule.keys)
 
     def _read(self, path: str) -> dict[tuple, dict]:
         """Return the rows of a header file by key."""
@@ -71,7 +71,7 @@ class Header:
             for column in self.rule.keys.values():
                 if list(cells.columns).count(column) != 1:
                     raise SessionError(f"needs one column {column!r}{did_you_mean(column, cells)}")
-            rows: dict[tuple, dict] = {}
+            rows = {}
             for line, values in enumerate(cells.to_dict("records"), start=2):
                 row = {name: _typed(cell.strip()) for name, cell in values.items()}
                 key = tuple(plain_key(row[column]) for column in self.rule.keys.values())
@@ -118,7 +118,7 @@ def matching(folder: str, pattern: PathPattern, header: Header | None) -> list[s
             f"{', '.join(paths[:3]) or 'none'} …)",
             folder,
         )
-    same: dict[tuple, str] = {}
+    same = {}
     for path, match in matches.items():
         key = tuple(match.fields.items())
         twin = same.setdefault(key, path)
@@ -134,7 +134,7 @@ def matching(folder: str, pattern: PathPattern, header: Header | None) -> list[s
 
 def _files(folder: str) -> Iterator[str]:
     """Yield the files at any depth of a folder, and its rosbag2 folders in place of their files."""
-    known: list[Path] = []
+    known = []
     for here, folders, files in os.walk(folder, followlinks=True):
         if not known or os.path.islink(here):  # a link may lead to what is read elsewhere
             target = Path(here).resolve()

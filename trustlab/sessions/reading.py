@@ -38,7 +38,7 @@ from trustlab.sessions.recipe import (
     Recipe,
     Resampling,
     TableRule,
-    TableTime,
+    TimeRule,
     load_recipe,
     parse,
 )
@@ -334,10 +334,13 @@ class Reader:
                 )
             self.recipe = replace(self.recipe, table=table)
         if resample is not None or sample_time is not None:
-            method: Any = one_of("resample", resample, get_args(Method))
+            method = one_of("resample", resample, get_args(Method))
             rule = Resampling(method=method, sample_time=sample_time)
             self.recipe = replace(self.recipe, resampling=rule)
         self.columns = None if columns is None else self._selected(columns)
+        # The rules of the columns that come from the log, and of those that these need.
+        rules = rules_of(self.recipe, self.columns or list(self.recipe.columns))
+        self.rules = [rule for rule in rules if rule.kind in ("column", "topic")]
         self.header = Header(self.recipe.header) if self.recipe.header else None
         # What to doubt in values that could be read, and the files where that is so.
         self.doubts: dict[str, list[str]] = {}
@@ -376,12 +379,12 @@ class Reader:
         if match and self.header:
             values |= self.header.row(match)
         if bag and not self.plain:
-            log = read_bag(path, self.recipe, self._measured())
+            log = read_bag(path, self.recipe, self.rules)
             return self._sessions(log, values, list(self.recipe.columns))
         if bag:
             table = read_written(path, self._chosen())
         elif suffix in TEXTS:
-            texts = {rule.name for rule in self._measured() if rule.map}
+            texts = {rule.name for rule in self.rules if rule.map}
             if self.recipe.time.unit in ("iso", "clock"):
                 texts.add("t")
             table = read_csv(path, self._chosen(), self.recipe.table, texts)
@@ -417,16 +420,11 @@ class Reader:
         if not self.plain and recipe.kind != kind:
             raise RecipeError(f"recipe {recipe.name!r} reads a {recipe.kind}, but this is a {kind}")
 
-    def _measured(self) -> list[ColumnRule]:
-        """Return the rules of the columns that come from the log, and of those these need."""
-        rules = rules_of(self.recipe, self.columns or list(self.recipe.columns))
-        return [rule for rule in rules if rule.kind in ("column", "topic")]
-
     def _chosen(self) -> Chosen:
         """Return which columns of a table to read: the session's name of each, to the table's."""
         if self.plain and not self.columns:
             return None
-        return {"t": self.recipe.time.column} | {x.name: x.column for x in self._measured()}
+        return {"t": self.recipe.time.column} | {rule.name: rule.column for rule in self.rules}
 
     def _of_table(self, table: Table, source: str, values: Mapping) -> list[Session]:
         """Return the sessions of a table."""
@@ -463,7 +461,7 @@ class Reader:
 # The recipe of a log whose columns are those of the vocabulary, in SI units.
 PLAIN = Recipe(
     kind="table",
-    time=TableTime(unit="s"),
+    time=TimeRule(kind="table", unit="s"),
     columns={
         name: ColumnRule(name=name, kind="column", column=name, unit=column.unit)
         for name, column in VOCABULARY.items()

@@ -148,11 +148,11 @@ def parse(rule: Any, table: Any, where: str, allowed: Sequence[str] = (), **more
         raise RecipeError(f"{where} must be a table, got {shown(table)}")
     kinds = get_type_hints(rule)
     known = {SPELT.get(each.name, each.name): each for each in fields(rule) if each.init}
+    keys = allowed or [key for key in known if key not in more]
     values = {}
     try:
         for key, value in table.items():
-            if key not in known or key in more or (allowed and key not in allowed):
-                keys = allowed or [name for name in known if name not in more]
+            if key not in keys:
                 raise ValueError(f"unknown key {key!r}{alternatives(key, keys)}")
             name = known[key].name
             values[name] = _checked(kinds[name], key, value)
@@ -319,8 +319,7 @@ class ColumnRule:
                 values = self.scale * values + self.offset
             if self.absolute:
                 values = np.abs(values)
-            if self.size != 1.0:
-                values = values * self.size
+            values = values * self.size
             if self.above is not None:
                 values = np.where(np.isnan(values), values, values > self.above)
         return values
@@ -381,20 +380,35 @@ class TableRule:
             )
 
 
-@dataclass(frozen=True, kw_only=True)
-class TableTime:
-    """The column of a table that holds time; `from_zero` counts it from the first sample."""
+# The keys of [time], by the kind of log.
+TIME_KEYS = {
+    "table": ("unit", "column", "from_zero", "repeated", "sort", "jumps"),
+    "bag": ("stamp", "topics", "repeated", "sort"),
+}
 
-    unit: str
+
+@dataclass(frozen=True, kw_only=True)
+class TimeRule:
+    """
+    How rows or messages are timed.
+
+    A table has a column of times, which `from_zero` counts from the first sample; a message is
+    timed by its receipt or by its header's stamp, and `topics` may differ.
+    """
+
+    kind: str
+    unit: str | None = None
     column: str | int = "t"
     from_zero: bool = False
+    stamp: Stamp = "receive"
+    topics: dict[str, Stamp] | None = None
     repeated: Literal["first", "last", "mean"] | None = None
     sort: bool = False
     jumps: Literal["split"] | None = None
 
     def __post_init__(self):
         units = [unit for unit, (base, _) in UNITS.items() if base == "s"]
-        if self.unit not in units:  # as nearly always
+        if self.kind == "table" and self.unit not in units:  # as nearly always
             one_of("unit", self.unit, ("iso", "clock", *units))
         if self.sort and self.jumps:
             raise ValueError("sort orders all rows by time, which leaves no jumps to split at")
@@ -407,19 +421,7 @@ class TableTime:
             return np.where(late, value // 10**9 + value % 10**9 / 1e9, value / 1e9)
         return value if self.unit in ("s", "clock") else value * to_si(self.unit, "s")
 
-
-@dataclass(frozen=True, kw_only=True)
-class BagTime:
-    """Whether messages are timed by receipt or by their header's stamp; `topics` may differ."""
-
-    stamp: Stamp = "receive"
-    topics: dict[str, Stamp] | None = None
-    repeated: Literal["first", "last", "mean"] | None = None
-    sort: bool = False
-    jumps: None = field(init=False, default=None)
-    unit: None = field(init=False, default=None)  # of bags it is known
-
-    def of(self, topic: str) -> str:
+    def stamp_of(self, topic: str) -> str:
         """Return "receive" or "header" for one topic."""
         return (self.topics or {}).get(plain_key(topic), self.stamp)
 
@@ -472,7 +474,7 @@ class Recipe:
     table : TableRule
         How a table is written.
     time : mapping
-        The entries of [time]; kept as a TableTime or a BagTime.
+        The entries of [time]; kept as a TimeRule.
     resampling : Resampling, optional
         How to resample, and to which sample time [s].
     metadata : mapping
@@ -505,8 +507,8 @@ class Recipe:
         if self.kind == "bag" and self.table != TableRule():
             raise ValueError('[table] is for kind = "table"')
         if self.time is None or isinstance(self.time, Mapping):
-            kind = TableTime if self.kind == "table" else BagTime
-            self.time = parse(kind, self.time or {}, "[time]")
+            keys = TIME_KEYS[self.kind]
+            self.time = parse(TimeRule, self.time or {}, "[time]", keys, kind=self.kind)
         if self.performance_window is not None:
             window = not_negative("performance_window", self.performance_window)
             self.metadata = self.metadata | {"performance_window": MetadataRule(value=window)}
