@@ -23,7 +23,7 @@ from joblib.externals.loky import get_reusable_executor
 from tqdm import tqdm
 
 from trustlab.campaign.identity import identity, sources, value_digest
-from trustlab.campaign.parameters import RESERVED, check_parameters, seed_sequence
+from trustlab.campaign.parameters import RESERVED, check_parameters, child_of, seed_sequence
 from trustlab.models.checks import flag, shown, warn, whole_number
 from trustlab.models.digest import digest
 from trustlab.models.files import path_of, write_atomically, writing
@@ -256,10 +256,9 @@ def _row(
     task: Callable, run: int, values: Mapping, seed: np.random.SeedSequence
 ) -> tuple[int, dict[str, Any]]:
     """Return a run and its results by name, or its error in one line and its traceback."""
-    # The child that `seed.spawn` would give at this index.
-    key = (*seed.spawn_key, seed.n_children_spawned + run)
-    child = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
     try:
+        # That which `seed.spawn` would give at this index.
+        child = child_of(seed, seed.n_children_spawned + run)
         # A task that changes its arguments must not change those of other runs.
         with parallel_config("sequential"):  # within a task: the other cores are taken
             results = task(**copy.deepcopy(dict(values)), seed=child)

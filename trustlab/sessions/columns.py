@@ -18,7 +18,6 @@ from trustlab.sessions.recipe import (
     ColumnRule,
     MetadataRule,
     Recipe,
-    TimeRule,
     looked_up,
     plain_key,
 )
@@ -51,7 +50,6 @@ class Table:
     place: Place
     metadata: Metadata = field(default_factory=Metadata)
     notes: dict[str, object] = field(default_factory=dict)
-    decimal: str = "."
 
     def error(self, row: int, label: str, words: object) -> SessionError:
         """Return the error about a cell."""
@@ -109,7 +107,7 @@ def stream_of(
 ) -> Stream:
     """Return the columns of a table that rules name, in SI units, at times in seconds."""
     time = recipe.time
-    values = {rule.name: numbers(table, rule) for rule in rules}
+    values = {rule.name: numbers(table, recipe, rule) for rule in rules}
     rows = np.arange(t.size)
     late = np.count_nonzero(np.diff(t) < 0.0) if time.sort else 0
     if late:
@@ -160,7 +158,7 @@ def _filled(column: pd.Series, way: str) -> pd.Series:
 # --- cells to numbers ---------------------------------------------------------------------------
 
 
-def numbers(table: Table, rule: ColumnRule | None = None) -> np.ndarray:
+def numbers(table: Table, recipe: Recipe, rule: ColumnRule | None = None) -> np.ndarray:
     """Return the numbers of a column, or of times where there is no rule; NaN for blank cells."""
     values = table.frame[rule.name if rule else "t"]
     label = rule.label if rule else "column t"
@@ -181,7 +179,7 @@ def numbers(table: Table, rule: ColumnRule | None = None) -> np.ndarray:
     known = np.full(len(words) + 1, np.nan)  # the last is for cells that are missing
     for k, word in enumerate(words):
         try:
-            known[k] = _number(word, mapped, table.decimal)
+            known[k] = _number(word, mapped, recipe.table.decimal)
         except ValueError as error:
             raise table.error(int(np.argmax(codes == k)), label, error) from None
     return known[codes]
@@ -211,10 +209,11 @@ def _number(cell: object, mapped: ColumnRule | None, decimal: str) -> float:
 # --- times --------------------------------------------------------------------------------------
 
 
-def times_of(table: Table, time: TimeRule) -> np.ndarray:
+def times_of(table: Table, recipe: Recipe) -> np.ndarray:
     """Return the times of a table's rows in seconds."""
+    time = recipe.time
     ways = {"iso": _dates, "clock": _times_of_day}
-    raw = ways.get(time.unit, numbers)(table)
+    raw = ways.get(time.unit, numbers)(table, recipe)
     blank = np.isnan(raw)
     if blank.any():
         raise table.error(int(np.argmax(blank)), "column t", "is blank; every row needs a time")
@@ -230,7 +229,7 @@ def times_of(table: Table, time: TimeRule) -> np.ndarray:
         return np.asarray(time.seconds(raw), dtype=float)
 
 
-def _dates(table: Table) -> np.ndarray:
+def _dates(table: Table, _: Recipe) -> np.ndarray:
     """Return dates as whole nanoseconds since 1970; UTC without a time zone."""
     texts = table.frame["t"]
     if texts.dtype.kind != "M":
@@ -243,7 +242,7 @@ def _dates(table: Table) -> np.ndarray:
     return stamps.astype("datetime64[ns, UTC]").astype("int64").to_numpy()
 
 
-def _times_of_day(table: Table) -> np.ndarray:
+def _times_of_day(table: Table, _: Recipe) -> np.ndarray:
     """Return times of the day as seconds since the first midnight."""
     pattern = r"^\s*(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d{1,12})?)\s*$"
     parts = table.frame["t"].astype("str").str.extract(pattern, flags=re.ASCII)

@@ -10,7 +10,7 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, shown, warn
+from trustlab.models.checks import list_of, of_class, one_of, shown, warn
 from trustlab.models.files import path_of
 from trustlab.models.published import data_folder
 from trustlab.sessions.bags import read_bag, read_written
@@ -347,9 +347,7 @@ class Reader:
 
     def _selected(self, columns: Sequence[str]) -> list[str]:
         """Return the columns of the session that are asked for."""
-        names = (
-            [name for name in columns if name != "t"] if isinstance(columns, list | tuple) else []
-        )
+        names = [name for name in list_of("columns", columns) if name != "t"]
         if not names or not all(isinstance(name, str) for name in names):
             raise SessionError(f"columns must be a list of names besides t, got {shown(columns)}")
         for name in names:
@@ -389,7 +387,7 @@ class Reader:
                 texts.add("t")
             table = read_csv(path, self._chosen(), self.recipe.table, texts)
         else:
-            table = read_parquet(path, self._chosen(), self.recipe.table.decimal)
+            table = read_parquet(path, self._chosen())
         return self._of_table(table, source, values)
 
     def read_frame(self, frame: pd.DataFrame, metadata: Mapping[str, object]) -> list[Session]:
@@ -397,22 +395,20 @@ class Reader:
         recipe = self.recipe
         with source_named("data frame"):
             self._check_kind("table")
-            table = frame_table(frame, self._chosen(), recipe.table.decimal)
+            table = frame_table(frame, self._chosen())
             sessions = self._of_table(table, "data frame", metadata)
         # Fields of a path that no rule takes up are metadata like others.
         rules = [*recipe.columns.values(), *recipe.metadata.values()]
         used = {*recipe.metadata, *(rule.origin for rule in rules)}
         fields = used & {*(recipe.pattern.types if recipe.pattern else ())}
         more = {name: value for name, value in metadata.items() if name not in fields}
-        arguments = {*read_session.__annotations__, *read_frame.__annotations__}
-        arguments -= {"path", "return"}
         for name in more:
             # "resampled" is what reading itself notes.
-            close = get_close_matches(name, {*arguments, "resampled"}, n=1, cutoff=0.85)
-            if arguments & {*close}:
-                raise ValueError(
-                    f"{name!r} looks like the argument {close[0]!r}, not like metadata; correct it"
-                )
+            for close in get_close_matches(name, [*ARGUMENTS, "resampled"], n=1, cutoff=0.85):
+                if close in ARGUMENTS:
+                    raise ValueError(
+                        f"{name!r} looks like the argument {close!r}, not like metadata; correct it"
+                    )
         return [session.with_metadata(**more) for session in sessions] if more else sessions
 
     def _check_kind(self, kind: str) -> None:
@@ -432,7 +428,7 @@ class Reader:
             raise SessionError("nothing follows the column names; the log has no samples")
         recipe, names = self.recipe, [name for name in table.frame if name != "t"]
         rules = [recipe.columns[name] for name in names]
-        t = times_of(table, recipe.time)
+        t = times_of(table, recipe)
         stream = stream_of(table, t, rules, recipe)
         log = RawLog(source, [stream], table.metadata, table.notes)
         return self._sessions(log, values, names if self.plain else list(recipe.columns))
@@ -457,6 +453,9 @@ class Reader:
             more = f" (and {count} more of the files)" if count else ""
             warn(f"{files[0]}{more}: {doubt}")
 
+
+# What metadata of a frame are not called, lest a slip of the pen passes for one.
+ARGUMENTS = ("frame", "recipe", "columns", "resample", "sample_time", "delimiter", "decimal")
 
 # The recipe of a log whose columns are those of the vocabulary, in SI units.
 PLAIN = Recipe(

@@ -176,6 +176,7 @@ class Session(Result):
     def __post_init__(self):
         example = "for example trustlab.Metadata(participant=3, condition='C1', more={'trial': 2})"
         of_class("metadata", self.metadata, Metadata, example)
+        of_class("data", self.data, pd.DataFrame)
         with source_named(self.metadata.source):
             t, columns = _checked(self.data)
         object.__setattr__(
@@ -434,7 +435,6 @@ def keep_table(data: pd.DataFrame, metadata: Metadata, place: Place = ROW) -> Se
 
 def _checked(data: pd.DataFrame, place: Place = ROW) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the times and the columns of a session's table, every value checked."""
-    of_class("data", data, pd.DataFrame)
     if data.index.name != "t" and "t" in data.columns:
         data = data.set_index("t")
     if isinstance(data.index, pd.RangeIndex) and data.index.name != "t":

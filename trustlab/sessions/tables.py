@@ -67,7 +67,7 @@ def positions(chosen: Chosen, titles: Sequence[str]) -> dict[str, int]:
     return places
 
 
-def read_parquet(path: Path, chosen: Chosen, decimal: str) -> Table:
+def read_parquet(path: Path, chosen: Chosen) -> Table:
     """Return the table in a Parquet file."""
     import pyarrow.parquet as pq
 
@@ -80,10 +80,10 @@ def read_parquet(path: Path, chosen: Chosen, decimal: str) -> Table:
     frame = pd.DataFrame({name: frame[schema.names[k]] for name, k in places.items()}, copy=False)
     text = (schema.metadata or {}).get(b"trustlab")
     metadata = metadata_from_json(text.decode("utf-8", "replace"))[0] if text else Metadata()
-    return Table(frame, "row {} (from 0)".format, metadata, decimal=decimal)
+    return Table(frame, "row {} (from 0)".format, metadata)
 
 
-def frame_table(frame: pd.DataFrame, chosen: Chosen, decimal: str) -> Table:
+def frame_table(frame: pd.DataFrame, chosen: Chosen) -> Table:
     """Return the table in a data frame; an index with a name is a column as well."""
     index = frame.index.name
     if index is not None and index in frame:
@@ -92,7 +92,7 @@ def frame_table(frame: pd.DataFrame, chosen: Chosen, decimal: str) -> Table:
     places = positions(chosen, [str(name) for name in frame.columns])
     columns = {name: frame.iloc[:, place].copy() for name, place in places.items()}
     frame = pd.DataFrame(columns, copy=False)
-    return Table(frame, "row {} (from 0)".format, decimal=decimal)
+    return Table(frame, "row {} (from 0)".format)
 
 
 def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[str]) -> Table:
@@ -127,9 +127,9 @@ def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[st
     ends = end[len(end.rstrip(b"\r\n")) :]
     empty = max(ends.count(b"\n") or ends.count(b"\r"), 1) - 1
     cut = "has no end; the file may have been cut short in it"
-    notes: dict[str, object] = {} if ends else {"last line": cut}
+    notes = {} if ends else {"last line": cut}
     place = lambda row: f"line {before + 1 + row}"  # noqa: E731
-    return Table(frame.iloc[: len(frame) - empty], place, metadata, notes, layout.decimal)
+    return Table(frame.iloc[: len(frame) - empty], place, metadata, notes)
 
 
 def _layout_fault(names: Sequence[str], layout: TableRule) -> str:
