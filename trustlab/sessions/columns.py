@@ -116,14 +116,14 @@ def stream_of(
     begin, steps = t[rows[0]], np.diff(t[rows])
     # A blank is filled from neighbours in its own session: not from across a jump of time or a gap.
     back = (steps < 0.0) & bool(time.jumps)
-    sessions = np.split(rows, np.flatnonzero(back | (steps > recipe.gap)) + 1)
+    parts = np.split(rows, np.flatnonzero(back | (steps > recipe.gap)) + 1)
     for rule in rules:
         if rule.blank:
             column = pd.Series(values[rule.name], t)
             note = f"{column.isna().sum()} of {t.size} cells, filled by {rule.blank!r}"
             table.notes[f"blanks of {rule.name}"] = note
             values[rule.name] = np.full(t.size, np.nan)
-            for part in sessions:
+            for part in parts:
                 values[rule.name][part] = _filled(column.iloc[part], rule.blank)
             rows = rows[~np.isnan(values[rule.name][rows])]
     if rows.size < t.size:
@@ -370,9 +370,11 @@ def resample(log: RawLog, recipe: Recipe) -> pd.DataFrame:
     early = min(bounding, key=lambda stream: stream.t[-1])
     start, stop = late.t[0], early.t[-1]
     if len(log.streams) > 1 and stop <= start:
-        fault = f"{early.topic!r} ends {start - stop:.6g} s before {late.topic!r} starts"
-        hint = "set hold = true for a topic whose last message holds to the end"
-        raise SessionError(f"topics do not overlap: {fault} ({hint})")
+        raise SessionError(
+            f"topics do not overlap: {early.topic!r} ends {start - stop:.6g} s before "
+            f"{late.topic!r} starts (set hold = true for a topic whose last message holds to the "
+            "end)"
+        )
     # A grid time that rounding put just before a sample belongs to that sample.
     slack = rounding(log, sample_time)
     steps = (stop - start + slack) / sample_time  # rounding must not cost the last sample

@@ -454,7 +454,7 @@ class Reader:
             warn(f"{files[0]}{more}: {doubt}")
 
 
-# What metadata of a frame are not called, lest a slip of the pen passes for one.
+# Names of arguments: what a caller of `read_frame` writes nearly so is a slip, not metadata.
 ARGUMENTS = ("frame", "recipe", "columns", "resample", "sample_time", "delimiter", "decimal")
 
 # The recipe of a log whose columns are those of the vocabulary, in SI units.
@@ -515,9 +515,7 @@ def doubts(session: Session, notes: Mapping[str, Any], time: Any) -> list[str]:
         unit = likely_unit(first * size, step * size)
         remedy = f'if its times are in {unit}, a recipe says so: [time] unit = "{unit}"'
         words.append(f"samples are {step:g} s apart, from {first:g} s on; {remedy}")
-    for name in ("p_r", "p_h"):
-        if name not in session.columns:
-            continue
+    for name in [name for name in ("p_r", "p_h") if name in session]:
         if np.min(session[name]) < 0.0:
             words.append(
                 f"column {name} has negative values, but performance is never negative; map the "
