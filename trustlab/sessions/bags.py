@@ -17,7 +17,7 @@ from trustlab.sessions.columns import RawLog, Table, stream_of
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, damage_named
 from trustlab.sessions.patterns import Selector
 from trustlab.sessions.recipe import ColumnRule, Recipe
-from trustlab.sessions.session import metadata_from_json
+from trustlab.sessions.session import Place, metadata_from_json
 from trustlab.sessions.tables import Chosen, positions
 
 # Where the topics of a bag stand that `write_session` wrote: t, metadata and one per column.
@@ -68,10 +68,13 @@ def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> RawLog:
         # Differences of whole nanoseconds are exact; as floats the stamps would be 0.2 µs apart at
         # best.
         t = (frame["stamp"].to_numpy(dtype=np.int64) - start) / 1e9
-        place = f"topic {topic!r}, message {{}} (from 0)".format
-        table = Table(frame, lambda k, place=place, rows=rows: place(rows[k][0]), notes=log.notes)
+        table = Table(frame, _place(topic, frame["row"]), notes=log.notes)
         log.streams.append(stream_of(table, t, members, recipe, topic + entry))
     return log
+
+
+def _place(topic: str, rows: pd.Series) -> Place:
+    return lambda k: f"topic {topic!r}, message {rows[k]} (from 0)"
 
 
 def _check_topics(reader, rules: Sequence[ColumnRule]) -> None:

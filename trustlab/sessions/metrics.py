@@ -247,10 +247,10 @@ def with_performance(
         p_r = nearness(session["path_error"], e_max)
         equations = "Section 2.4.2.4"
     else:
-        commands = [vector(stem) for stem in ("u_h", "u_a", "u_i")]
+        u_h, u_a, u_i = (vector(stem) for stem in ("u_h", "u_a", "u_i"))
         apart = vector("reference") - vector("robot")
         share = session["alpha" if "alpha" in session else "mode"]
-        p_r, p_h = mixed_initiative(*commands, apart, share, u_max, e_max)
+        p_r, p_h = mixed_initiative(u_h, u_a, u_i, apart, share, u_max, e_max)
         equations = "(3.26), (3.27)"
     step = session.sample_time
     p_r, p_h = (window_mean(values, step, window) for values in (p_r, p_h))

@@ -72,7 +72,7 @@ def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | No
     -------
     numpy.ndarray of matplotlib.axes.Axes
     """
-    across, up = plane
+    across, up = plane[0], plane[1]
     size = (min(2.4 * len(sessions), 10.0), 2.8)
     axes = axes_or_new(columns=len(sessions), sharex=True, sharey=True, squeeze=False, figsize=size)
     titles = [session.label for session in sessions] if titles is None else titles

@@ -334,7 +334,7 @@ class Reader:
                 )
             self.recipe = replace(self.recipe, table=table)
         if resample is not None or sample_time is not None:
-            method = one_of("resample", resample, get_args(Method))
+            method: Any = one_of("resample", resample, get_args(Method))
             rule = Resampling(method=method, sample_time=sample_time)
             self.recipe = replace(self.recipe, resampling=rule)
         self.columns = None if columns is None else self._selected(columns)
@@ -398,7 +398,7 @@ class Reader:
             table = frame_table(frame, self._chosen())
             sessions = self._of_table(table, "data frame", metadata)
         # Fields of a path that no rule takes up are metadata like others.
-        rules = [*recipe.columns.values(), *recipe.metadata.values()]
+        rules: list[Any] = [*recipe.columns.values(), *recipe.metadata.values()]
         used = {*recipe.metadata, *(rule.origin for rule in rules)}
         fields = used & {*(recipe.pattern.types if recipe.pattern else ())}
         more = {name: value for name, value in metadata.items() if name not in fields}

@@ -127,7 +127,7 @@ def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[st
     ends = end[len(end.rstrip(b"\r\n")) :]
     empty = max(ends.count(b"\n") or ends.count(b"\r"), 1) - 1
     cut = "has no end; the file may have been cut short in it"
-    notes = {} if ends else {"last line": cut}
+    notes: dict[str, object] = {} if ends else {"last line": cut}
     place = lambda row: f"line {before + 1 + row}"  # noqa: E731
     return Table(frame.iloc[: len(frame) - empty], place, metadata, notes)
 
