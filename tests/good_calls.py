@@ -37,7 +37,7 @@ CHEAPER = {
     "simulate_allocation": {"steps": 50},
     "simulate_team": {"duration": 2.0},
     "smallest_n": lambda: {"simulation": tl.studies.Simulation(replicates=100)},
-    "sobol_indices": {"n": 8},
+    "sobol_indices": {"n": 8, "resamples": 20},
     "virtual_study": {"n_jobs": 1, "conditions": ["C1", "C3"], "n": 4},
 }
 """Arguments in place of those of an example."""

@@ -293,7 +293,7 @@ def sensitivity():
     def task(x, y, seed):
         return {"z": x + 0.1 * y * x}
 
-    table = tl.sobol_indices(task, {"x": (0.0, 1.0), "y": (0.0, 1.0)}, n=64, n_jobs=1)
+    table = tl.sobol_indices(task, {"x": (0.0, 1.0), "y": (0.0, 1.0)}, n=64, n_jobs=1).table()
     return table[["result", "parameter", "first_order", "total"]]
 
 

@@ -8,4 +8,4 @@ from .run import (
     read_campaign as read_campaign,
     run_campaign as run_campaign,
 )
-from .sensitivity import sobol_indices as sobol_indices
+from .sensitivity import SobolIndices as SobolIndices, sobol_indices as sobol_indices

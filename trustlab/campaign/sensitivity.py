@@ -1,6 +1,7 @@
 """Sobol' indices: the share of a result's variance that each uncertain parameter contributes."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,62 @@ import pandas as pd
 from trustlab.campaign.parameters import distribution
 from trustlab.campaign.run import CampaignError, run_campaign
 from trustlab.models.checks import open_unit, shown, whole_number, whole_seed
+from trustlab.models.display import axes_or_new
 
 COLUMNS = ("first_order", "first_low", "first_high", "total", "total_low", "total_high")
 
-# Resamples of the bootstrap.
-RESAMPLES = 400
+
+@dataclass(frozen=True, eq=False)
+class SobolIndices:
+    """
+    Shares of the variance of each result.
+
+    Parameters
+    ----------
+    indices : pandas.DataFrame
+        Columns result, parameter, first_order, first_low, first_high, total, total_low, total_high.
+    n : int
+        Points in each of the two samples; the task was run n (parameters + 2) times.
+    level : float
+        Level of the intervals.
+    """
+
+    indices: pd.DataFrame
+    n: int
+    level: float
+
+    def table(self) -> pd.DataFrame:
+        """
+        Return the indices with bootstrap intervals.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns result, parameter, first_order, first_low, first_high, total, total_low,
+            total_high; NaN for a result that did not vary. Estimates may fall below 0 or above 1 by
+            their error, and are not cut.
+        """
+        return self.indices.copy()
+
+    def plot(self):
+        """
+        Plot first-order and total indices with their intervals, one panel per result.
+
+        Returns
+        -------
+        numpy.ndarray of matplotlib.axes.Axes, shape (results,)
+        """
+        groups = self.indices.groupby("result", sort=False)
+        axes = axes_or_new(columns=len(groups), squeeze=False, sharey=True)[0]
+        for panel, (result, rows) in zip(axes, groups, strict=True):
+            for value, order, shift in (("first_order", "first", -0.1), ("total", "total", 0.1)):
+                ends = [rows[value] - rows[f"{order}_low"], rows[f"{order}_high"] - rows[value]]
+                places = np.arange(len(rows)) + shift
+                panel.errorbar(rows[value], places, xerr=np.abs(ends), fmt="o", label=value)
+            panel.set(title=result, xlabel=f"share of variance, {100 * self.level:g} % intervals")
+        axes[0].set_yticks(range(len(rows)), rows["parameter"])
+        axes[0].legend()
+        return axes
 
 
 def sobol_indices(
@@ -21,10 +73,12 @@ def sobol_indices(
     ranges: Mapping[str, object],
     n: int = 256,
     *,
+    results: list[str] | None = None,
     seed: int = 0,
     level: float = 0.95,
+    resamples: int = 400,
     **campaign: Any,
-) -> pd.DataFrame:
+) -> SobolIndices:
     """
     Estimate first-order and total Sobol' indices of a task's results from one campaign of runs.
 
@@ -44,25 +98,27 @@ def sobol_indices(
         distribution; taken as independent.
     n : int
         Points in each of two samples, a power of 2; the task is run n (parameters + 2) times.
+    results : list of str, optional
+        Which results; all that are numbers when not given.
     seed : int
         Seed of the points, of the bootstrap and of the runs.
     level : float
         Level of the intervals, in (0, 1).
+    resamples : int
+        Resamples of the bootstrap.
     **campaign : object
         n_jobs, out and progress, as in `run_campaign`.
 
     Returns
     -------
-    pandas.DataFrame
-        Columns result, parameter, first_order, first_low, first_high, total, total_low,
-        total_high; a row for each parameter of each result that is a number, NaN where the result
-        did not vary. Estimates may fall below 0 or above 1 by their error, and are not cut.
+    SobolIndices
+        `.table()` and `.plot()`.
 
     Raises
     ------
     ValueError
-        If an argument is not of its kind, a run failed, or a number among the results is not
-        finite at some point.
+        If an argument is not of its kind, a run failed, or a result is not a finite number at some
+        point.
 
     Notes
     -----
@@ -75,7 +131,7 @@ def sobol_indices(
     >>> def task(x, y, seed):
     ...     return {"z": x + 0.1 * y}
     >>> indices = tl.sobol_indices(task, {"x": (0.0, 1.0), "y": (0.0, 1.0)}, n=64, n_jobs=1)
-    >>> indices[["parameter", "first_order", "total"]].round(1)
+    >>> indices.table()[["parameter", "first_order", "total"]].round(1)
       parameter  first_order  total
     0         x          1.0    1.0
     1         y          0.0    0.0
@@ -85,7 +141,8 @@ def sobol_indices(
     n = whole_number("n", n, least=8)
     if n & (n - 1):
         raise ValueError(f"n must be a power of 2, such as {2 ** n.bit_length()}, got {n}")
-    level, seed = open_unit("level", level), whole_seed(seed)
+    level, resamples = open_unit("level", level), whole_number("resamples", resamples, 20, 100_000)
+    seed = whole_seed(seed)
     if not isinstance(ranges, Mapping) or len(ranges) < 2:
         raise ValueError(
             "ranges must be a dict of (low, high) by name of at least two parameters, such as "
@@ -104,8 +161,8 @@ def sobol_indices(
     rows = np.concatenate(designs, axis=1).T.tolist()
     parameters = [dict(zip(names, row, strict=True)) for row in rows]
     table = run_campaign(task, parameters, seed=seed, **campaign)
-    results, values = _outcomes(table, names)
-    values = values.reshape(len(results), d + 2, n)
+    chosen, values = _outcomes(table, names, results)
+    values = values.reshape(len(chosen), d + 2, n)
 
     def indices(k: np.ndarray) -> np.ndarray:
         """Return first-order and total indices from the points k."""
@@ -115,29 +172,36 @@ def sobol_indices(
         return np.reshape([estimate.first_order, estimate.total_order], (2, -1, d))
 
     # SciPy's own bootstrap takes no seed.
-    again = [indices(draws.integers(n, size=n)) for _ in range(RESAMPLES)]
+    again = [indices(draws.integers(n, size=n)) for _ in range(resamples)]
     ends = np.quantile(again, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
-    # By estimate and ends, order, result and parameter.
-    shares = np.stack([indices(np.arange(n)), *ends])
+    shares = np.stack(
+        [indices(np.arange(n)), *ends]
+    )  # of estimate and ends, order, result, parameter
     shares[:, :, np.ptp(values, axis=(1, 2)) == 0.0] = np.nan
-    index = pd.MultiIndex.from_product([results, names], names=["result", "parameter"])
+    index = pd.MultiIndex.from_product([chosen, names], names=["result", "parameter"])
     columns = shares.swapaxes(0, 1).reshape(len(COLUMNS), -1).T
-    return pd.DataFrame(columns, index, COLUMNS).reset_index()
+    return SobolIndices(pd.DataFrame(columns, index, COLUMNS).reset_index(), n, level)
 
 
-def _outcomes(table: pd.DataFrame, names: list[str]) -> tuple[list[str], np.ndarray]:
-    """Return the names of the results that are numbers, and their values by result and run."""
+def _outcomes(
+    table: pd.DataFrame, names: list[str], results: list[str] | None
+) -> tuple[list[str], np.ndarray]:
+    """Return the names of the results to analyse, and their values by result and run."""
     if table.attrs["failed"]:
         remedy = "; narrow the ranges" * (table.attrs["failed"] < len(table))
         raise CampaignError(f"indices need every point: {table.attrs['summary']}{remedy}")
     numbers = table.drop(columns=["run", "failed", *names]).select_dtypes(["number", "bool"])
-    if numbers.empty:
-        raise CampaignError("no result is a number; return at least one from the task")
-    values = numbers.to_numpy(dtype=float)
-    gaps = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    chosen = list(numbers) if results is None else results
+    if not isinstance(chosen, list) or not chosen or not {*chosen} <= {*numbers}:
+        raise ValueError(
+            f"results must be among those that are numbers, {', '.join(numbers)}, got "
+            f"{shown(chosen)}"
+        )
+    values = numbers[chosen].to_numpy(dtype=float).T
+    gaps = np.flatnonzero(~np.isfinite(values).all(axis=0))
     if gaps.size:
         raise ValueError(
             f"indices need every point, but at {gaps.size} of {len(table)} a result is not finite, "
-            f"first at {table.loc[gaps[0], [*names, *numbers]].to_dict()}; narrow the ranges"
+            f"first at {table.loc[gaps[0], [*names, *chosen]].to_dict()}; narrow the ranges"
         )
-    return list(numbers), values.T
+    return chosen, values
