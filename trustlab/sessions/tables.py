@@ -8,6 +8,7 @@ from codecs import BOM_UTF8
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -99,13 +100,18 @@ def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[st
     """Return the table in a text file; `texts` are columns that no numbers are made of here."""
     usual = "\t" if suffix_of(path).startswith(".tsv") else ","
     layout = replace(layout, delimiter=layout.delimiter or usual)
-    source = path.read_bytes()
+    source: bytes | Path = path
     if path.suffix.lower() == ".gz":
         with damage_named("not a gzip file, or a damaged or truncated one", "copy it again"):
-            source = gzip.decompress(source)
+            source = gzip.decompress(path.read_bytes())
     if layout.delimiter == " ":  # a run of which separates once
-        source = re.sub(rb"(?m)^ +| +(?=\r?$)", b"", re.sub(rb" {2,}", b" ", source))
-    head = io.BytesIO(source[:HEAD].removeprefix(BOM_UTF8))
+        with _opened(source) as file:
+            spaced = re.sub(rb" {2,}", b" ", file.read())
+        source = re.sub(rb"(?m)^ +| +(?=\r?$)", b"", spaced)
+    with _opened(source) as file:
+        head = io.BytesIO(file.read(HEAD).removeprefix(BOM_UTF8))
+        file.seek(max(0, file.size() - HEAD))
+        end = file.read()
     lines = [*io.TextIOWrapper(head, layout.encoding, "surrogateescape", newline="")] or [""]
     before, metadata = layout.skip_lines, Metadata()
     if lines[0].startswith(COMMENT) and not before:
@@ -123,13 +129,19 @@ def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[st
         raise SessionError(f"line {before + 1}: {fault}") from error
     before += rows.line_num * layout.header  # a name may have a line break
     frame = _parsed(source, before, len(names), places, layout, {places[name] for name in texts})
-    end = source[-HEAD:]
     ends = end[len(end.rstrip(b"\r\n")) :]
     empty = max(ends.count(b"\n") or ends.count(b"\r"), 1) - 1
     cut = "has no end; the file may have been cut short in it"
     notes: dict[str, object] = {} if ends else {"last line": cut}
     place = lambda row: f"line {before + 1 + row}"  # noqa: E731
     return Table(frame.iloc[: len(frame) - empty], place, metadata, notes)
+
+
+def _opened(source: bytes | Path) -> Any:
+    """Return a text to read, in memory or in a file, as Arrow's readers take it."""
+    import pyarrow as pa
+
+    return pa.BufferReader(source) if isinstance(source, bytes) else pa.OSFile(str(source))
 
 
 def _layout_fault(names: Sequence[str], layout: TableRule) -> str:
@@ -152,7 +164,7 @@ def _layout_fault(names: Sequence[str], layout: TableRule) -> str:
 
 
 def _parsed(
-    source: bytes,
+    source: bytes | Path,
     before: int,
     width: int,
     places: Mapping[str, int],
@@ -166,7 +178,7 @@ def _parsed(
     def read(texts: Collection[int], threads: bool) -> pa.Table:
         kinds = {str(k): pa.string() if k in texts else pa.float64() for k in places.values()}
         return pa.csv.read_csv(
-            pa.BufferReader(source),
+            _opened(source),
             pa.csv.ReadOptions(
                 column_names=[*map(str, range(width))],
                 skip_rows=before,
@@ -213,8 +225,9 @@ def _ragged(fault: str) -> str:
     return f"line {line}: has {cells} cells, but the first line has {width}; {hint}"
 
 
-def refuse_encoding(content: bytes, encoding: str) -> None:
+def refuse_encoding(source: bytes | Path, encoding: str) -> None:
     """Raise where a text has bytes that its encoding has not."""
+    content = _opened(source).read()
     if b"\0" in content[:HEAD]:
         raise SessionError("this is UTF-16 or no text at all; save the file as UTF-8")
     try:
