@@ -108,15 +108,18 @@ def stream_of(
     """Return the columns of a table that rules name, in SI units, at times in seconds."""
     time = recipe.time
     values = {rule.name: numbers(table, recipe, rule) for rule in rules}
-    rows = np.arange(t.size)
+    # All rows as they stand are not copied: a log may have millions.
+    rows: Any = slice(None)
     late = np.count_nonzero(np.diff(t) < 0.0) if time.sort else 0
     if late:
         rows = np.argsort(t, kind="stable")
         table.notes[f"sorted {topic}".strip()] = f"{late} samples stood after a later one"
-    begin, steps = t[rows[0]], np.diff(t[rows])
+    begin, steps = t[rows][0], np.diff(t[rows])
     # A blank is filled from neighbours in its own session: not from across a jump of time or a gap.
     back = (steps < 0.0) & bool(time.jumps)
-    parts = np.split(rows, np.flatnonzero(back | (steps > recipe.gap)) + 1)
+    if any(rule.blank for rule in rules):
+        rows = np.arange(t.size)[rows]
+        parts = np.split(rows, np.flatnonzero(back | (steps > recipe.gap)) + 1)
     for rule in rules:
         if rule.blank:
             column = pd.Series(values[rule.name], t)
@@ -126,27 +129,27 @@ def stream_of(
             for part in parts:
                 values[rule.name][part] = _filled(column.iloc[part], rule.blank)
             rows = rows[~np.isnan(values[rule.name][rows])]
-    if rows.size < t.size:
+    left = t[rows]
+    if left.size < t.size:
         table.notes["rows cut"] = (
-            f"{t.size - rows.size} of {t.size}, where blanks have no neighbour"
+            f"{t.size - left.size} of {t.size}, where blanks have no neighbour"
         )
-        if not rows.size:
+        if not left.size:
             raise SessionError("no row has a value, or blanks to be filled, in every column")
-        if np.count_nonzero(np.diff(t[rows]) < 0.0) < np.count_nonzero(back):
+        if np.count_nonzero(np.diff(left) < 0.0) < np.count_nonzero(back):
             raise SessionError(
                 "without the rows whose blanks have no neighbour in their session, time does not "
                 "run back where the next begins; fill these cells in the log"
             )
-    t = t[rows]
 
     def place(k: int) -> str:
-        return table.place(rows[k])
+        return table.place(k if isinstance(rows, slice) else rows[k])
 
     columns = {
-        rule.name: check_column(rule.name, rule.convert(values[rule.name][rows]), t, place)
+        rule.name: check_column(rule.name, rule.convert(values[rule.name][rows]), left, place)
         for rule in rules
     }
-    frame = pd.DataFrame(columns, index=pd.Index(t, copy=False), copy=False)
+    frame = pd.DataFrame(columns, index=pd.Index(left, copy=False), copy=False)
     return Stream(frame, place, topic, all(rule.hold for rule in rules), begin)
 
 

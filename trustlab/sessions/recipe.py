@@ -319,7 +319,8 @@ class ColumnRule:
                 values = self.scale * values + self.offset
             if self.absolute:
                 values = np.abs(values)
-            values = values * self.size
+            if self.size != 1.0:
+                values = values * self.size
             if self.above is not None:
                 values = np.where(np.isnan(values), values, values > self.above)
         return values
