@@ -45,7 +45,7 @@ import numpy as np
 import trustlab as tl
 import trustlab.campaign.run
 
-trustlab.campaign.run.CHUNK = 0.1
+trustlab.campaign.run.PAUSE = 0.1
 
 def task(x, seed):
     with open("log", "a") as file:
@@ -110,7 +110,7 @@ def test_a_process_that_dies_or_is_interrupted_loses_nothing_that_was_finished(
 
 
 def test_a_campaign_grows_and_fills_gaps(tmp_path, monkeypatch):
-    monkeypatch.setattr("trustlab.campaign.run.CHUNK", 1e-9)  # a file for each run
+    monkeypatch.setattr("trustlab.campaign.run.PAUSE", 1e-9)  # a file for each run
     expected = go(None)
     assert_frame_equal(go(tmp_path), expected)
     before = contents(tmp_path)

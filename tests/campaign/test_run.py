@@ -82,29 +82,16 @@ def test_one_process_waits_for_the_other_and_both_work_to_the_end(tmp_path):
     def together(i, seed):
         (tmp_path / f"{i}-{os.getpid()}").touch()
         until = time.monotonic() + 60.0
-        while i >= 98 and time.monotonic() < until:
-            if len(list(tmp_path.glob("9[89]-*"))) == 2:
+        while i >= 100 and time.monotonic() < until:
+            if len(list(tmp_path.glob("10[01]-*"))) == 2:
                 return {"process": os.getpid(), "met": True}
             time.sleep(0.001)
         return {"process": os.getpid(), "met": False}
 
-    table = run(together, 100, n_jobs=2)
+    table = run(together, 102, n_jobs=2)
     assert table["process"].nunique() == 2
-    assert table["met"].tolist() == [False] * 98 + [True] * 2
-    assert table["process"][98] != table["process"][99]
-
-
-def test_runs_that_a_process_had_no_time_for_are_computed_all_the_same(monkeypatch):
-    calls = []
-
-    def counted(n, k, seed):
-        calls.append((n, k))
-        return task(n, k, seed)
-
-    expected = run(counted, RUNS)
-    monkeypatch.setattr("trustlab.campaign.run.perf_counter", iter(range(10**6)).__next__)
-    assert_frame_equal(run(counted, RUNS), expected)
-    assert len(calls) == 80
+    assert table["met"].tolist() == [False] * 100 + [True] * 2
+    assert table["process"][100] != table["process"][101]
 
 
 def test_within_a_task_all_cores_means_its_own_process():

@@ -34,7 +34,7 @@ NOTICED_BY = {
     "sessions/test_bags.py": "sessions/patterns",
     "sessions/test_recipes.py": "sessions/columns sessions/drafting sessions/patterns "
     "sessions/reading sessions/recipe",
-    "sessions/test_times.py": "sessions/columns sessions/reading sessions/resampling",
+    "sessions/test_times.py": "sessions/columns sessions/reading",
     "sessions/test_remedies.py": "sessions/columns sessions/reading sessions/recipe "
     "sessions/tables",
     "sessions/test_real_logs.py": "sessions/folders",

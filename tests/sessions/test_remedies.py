@@ -1,5 +1,6 @@
 """What an error says: file, line, column and remedy. Where the remedy is a line, it works."""
 
+import os
 import re
 
 import numpy as np
@@ -195,8 +196,11 @@ def test_what_is_not_there_or_of_no_known_kind(read, tmp_path):
     own = write_session(read(GOOD), tmp_path / "own.mcap")
     bag = Bag(tmp_path / "a.mcap").numbers("/e", [0, 1]).write()
     (tmp_path / "run.sas7bdat").write_bytes(b"x")
+    os.mkfifo(tmp_path / "pipe.csv")  # for whose writer reading waited for ever
     for path, options, words in [
         ("rum.csv", {}, "no file at this path (looked in "),
+        (tmp_path / "pipe.csv", {}, "no file at this path"),
+        (tmp_path / "run.csv", {"columns": [["p_r"]]}, "columns must be a list of names"),
         (tmp_path / "run.sas7bdat", {}, "then trustlab.read_frame(frame)"),
         (bag, {}, "not written by trustlab, so it needs a recipe (topics: /e)"),
         (own, {"delimiter": ";"}, "delimiter and decimal do not apply to .mcap"),

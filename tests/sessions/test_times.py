@@ -4,7 +4,6 @@ Times, blanks, gaps, jumps, resampling. Oracle: pandas, numpy.interp, and loops 
 
 import re
 from contextlib import nullcontext
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,7 +15,6 @@ from numpy.testing import assert_allclose
 from tests.cases import refused
 from tests.sessions.logs import table_recipe
 from trustlab.sessions import draft_recipe, read_frame
-from trustlab.sessions.reading import plain_recipe
 
 PLAIN = '[columns]\np_r = { column = "p_r" }\n'
 ZERO = f'[time]\nunit = "UNIT"\nfrom_zero = true\n{PLAIN}'
@@ -55,6 +53,7 @@ def test_times_in_other_units(read, unit, times):
 
 # Columns of states, choices and robots: no other lies between two of them.
 STATES = ["mode", "may_switch", "alpha_choice", "leader_choice", "leader"]
+UNITS = {"step_distance": "m", "yaw": "rad"}
 
 
 @given(
@@ -68,8 +67,11 @@ def test_sorted_and_merged_rows_are_those_of_pandas(rule, counts, seed):
     t = rng.permutation(np.repeat(np.arange(len(counts)), counts))
     frame = pd.DataFrame(rng.random((t.size, 3)), columns=["p_r", "step_distance", "yaw"])
     frame[STATES] = rng.integers([0, 0, 0, 1, 1], [2, 2, 2, 3, 3], (t.size, 5))
-    time = {"unit": "s", "sort": True, "repeated": rule}
-    session = read_frame(frame.assign(t=t), replace(plain_recipe([*frame]), time=time))
+    rules = "".join(
+        f'{name} = {{ column = "{name}", unit = "{UNITS.get(name, 1)}" }}\n' for name in frame
+    )
+    text = f'[time]\nunit = "s"\nsort = true\nrepeated = "{rule}"\n[columns]\n{rules}'
+    session = read_frame(frame.assign(t=t), table_recipe(text))
     ways = dict.fromkeys(["yaw", *STATES], "first" if rule == "first" else "last")
     groups = frame.assign(t=t).sort_values("t", kind="stable").groupby("t")
     expected = groups.agg({"p_r": rule, "step_distance": "sum", **ways})

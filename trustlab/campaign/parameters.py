@@ -109,9 +109,7 @@ def parameter_draws(
     columns = []
     for name, kind in distributions.items():
         # The stream follows from the name, whatever other parameters there are.
-        key = (*seed.spawn_key, DRAWS, *name.encode())
-        child = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
-        rng = np.random.default_rng(child)
+        rng = np.random.default_rng(child_of(seed, DRAWS, *name.encode()))
         if isinstance(kind, list) and kind:
             columns.append([kind[k] for k in rng.integers(len(kind), size=n)])
         else:
@@ -139,6 +137,12 @@ def seed_sequence(seed: Any) -> np.random.SeedSequence:
     if isinstance(seed, np.random.SeedSequence):
         return seed
     return np.random.SeedSequence(whole_seed(seed))
+
+
+def child_of(seed: np.random.SeedSequence, *key: int) -> np.random.SeedSequence:
+    """Return the child of a seed at a place, whatever children it has given away."""
+    key = (*seed.spawn_key, *key)
+    return np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
 
 
 def check_parameters(parameters: Any) -> None:

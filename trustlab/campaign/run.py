@@ -7,8 +7,7 @@ import inspect
 import json
 import os
 import traceback
-from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing
 from pathlib import Path
@@ -24,7 +23,7 @@ from joblib.externals.loky import get_reusable_executor
 from tqdm import tqdm
 
 from trustlab.campaign.identity import identity, sources, value_digest
-from trustlab.campaign.parameters import RESERVED, check_parameters, seed_sequence
+from trustlab.campaign.parameters import RESERVED, check_parameters, child_of, seed_sequence
 from trustlab.models.checks import flag, shown, warn, whole_number
 from trustlab.models.digest import digest
 from trustlab.models.files import path_of, write_atomically, writing
@@ -33,9 +32,8 @@ MANIFEST = "campaign.json"
 FORMAT = "trustlab campaign, format 5"
 REMEDY = "Use another folder, or remove it"
 
-# Seconds of work in a chunk, as far as the runs before it tell; it begins no run later than twice
-# that, since runs may take longer than those before.
-CHUNK = 2.0
+# Seconds after which the runs that have finished are written to a file.
+PAUSE = 2.0
 
 PLAIN = bool | int | float | str | None
 
@@ -142,17 +140,30 @@ def run_campaign(
         folder = path_of("out", out)
         texts = [{name: _text(name, x) for name, x in run.items()} for run in parameters]
         prefix, rows = _opened(folder, task, seed, texts)
-    resumed = len(rows)
-    with tqdm(total=len(parameters), initial=resumed, unit="run", disable=hidden) as bar:
-        while missing := [run for run in range(len(parameters)) if run not in rows]:
-            # Closed, so that an interrupt ends what is under way.
-            with closing(_computed(task, parameters, seed, missing, n_jobs)) as chunks:
-                for chunk in chunks:
-                    rows |= chunk
-                    bar.update(len(chunk))
-                    if out is not None:
-                        content = {run: {**chunk[run], "parameters": texts[run]} for run in chunk}
-                        _write(folder / f"{prefix}{digest(json.dumps(content))}.json", content)
+    resumed, begun, fresh = len(rows), start, {}
+
+    def write() -> None:
+        """Write the runs that finished since the last file."""
+        if fresh and out is not None:
+            content = {run: {**row, "parameters": texts[run]} for run, row in fresh.items()}
+            _write(folder / f"{prefix}{digest(json.dumps(content))}.json", content)
+            fresh.clear()
+
+    missing = [run for run in range(len(parameters)) if run not in rows]
+    with (
+        tqdm(total=len(parameters), initial=resumed, unit="run", disable=hidden) as bar,
+        # Closed, so that an interrupt ends what is under way.
+        closing(_computed(task, parameters, seed, missing, n_jobs)) as computed,
+    ):
+        try:
+            for run, row in computed:
+                rows[run] = fresh[run] = row
+                bar.update()
+                if perf_counter() - begun > PAUSE:
+                    write()
+                    begun = perf_counter()
+        finally:
+            write()
     table = _table(rows, parameters)
     table.attrs |= {"resumed": resumed, "seconds": perf_counter() - start}
     if table.attrs["failed"]:
@@ -217,26 +228,14 @@ def _computed(
     seed: np.random.SeedSequence,
     missing: list[int],
     n_jobs: int,
-) -> Generator[dict[int, dict]]:
-    """Yield the rows of runs, as processes return them; not of all, where runs take long."""
-    processes = min(effective_n_jobs(n_jobs), len(missing))
+) -> Generator[tuple[int, dict]]:
+    """Yield runs and their rows, as processes return them."""
+    processes = max(1, min(effective_n_jobs(n_jobs), len(missing)))
     if processes > 1:
         _end_outdated_processes(task)
-    waiting = deque(missing)
-    mean = CHUNK  # seconds of a run: the first to be sent go alone
-
-    def chunks() -> Iterator[tuple]:
-        while waiting:
-            # Chunks become smaller towards the end, so that processes finish together.
-            size = max(1, min(int(CHUNK / mean), len(waiting) // (3 * processes)))
-            runs = [waiting.popleft() for _ in range(size)]
-            yield delayed(_chunk)(task, {run: parameters[run] for run in runs}, seed)
-
     try:
-        parallel = Parallel(processes, return_as="generator_unordered", batch_size=1)
-        for rows, seconds in parallel(chunks()):
-            mean = seconds / len(rows)
-            yield rows
+        parallel = Parallel(processes, return_as="generator_unordered")
+        yield from parallel(delayed(_row)(task, run, parameters[run], seed) for run in missing)
     except (BrokenExecutor, PicklingError) as error:
         reason = str(error.__cause__ or "").strip('\n"').rpartition("\n")[2]
         raise CampaignError(
@@ -253,28 +252,16 @@ def _end_outdated_processes(task: Callable) -> None:
     _imported.update(files)
 
 
-def _chunk(
-    task: Callable, parameters: dict[int, Mapping], seed: np.random.SeedSequence
-) -> tuple[dict[int, dict], float]:
-    """Return rows by run, of those for which there was time, and the seconds they took."""
-    start = perf_counter()
-    rows: dict[int, dict] = {}
-    with parallel_config("sequential"):  # within a task: the other cores are taken
-        for run, values in parameters.items():
-            if rows and perf_counter() - start > 2.0 * CHUNK:
-                break
-            # The child that `seed.spawn` would give at this index.
-            key = (*seed.spawn_key, seed.n_children_spawned + run)
-            child = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
-            rows[run] = _row(task, values, child)
-    return rows, perf_counter() - start
-
-
-def _row(task: Callable, values: Mapping, seed: np.random.SeedSequence) -> dict[str, Any]:
-    """Return the results of a run by name, or its error in one line and its traceback."""
+def _row(
+    task: Callable, run: int, values: Mapping, seed: np.random.SeedSequence
+) -> tuple[int, dict[str, Any]]:
+    """Return a run and its results by name, or its error in one line and its traceback."""
     try:
+        # That which `seed.spawn` would give at this index.
+        child = child_of(seed, seed.n_children_spawned + run)
         # A task that changes its arguments must not change those of other runs.
-        results = task(**copy.deepcopy(dict(values)), seed=seed)
+        with parallel_config("sequential"):  # within a task: the other cores are taken
+            results = task(**copy.deepcopy(dict(values)), seed=child)
         if not isinstance(results, Mapping) or not results:
             raise CampaignError(f"a task must return a dict of results, got {shown(results)}")
         results = {name: _plain(value) for name, value in results.items()}
@@ -290,8 +277,8 @@ def _row(task: Callable, values: Mapping, seed: np.random.SeedSequence) -> dict[
                 )
     except (Exception, SystemExit) as error:
         line = f"{type(error).__name__}: {error}".partition("\n")[0]
-        return {"results": {}, "error": line, "traceback": traceback.format_exc()}
-    return {"results": results, "error": None, "traceback": None}
+        return run, {"results": {}, "error": line, "traceback": traceback.format_exc()}
+    return run, {"results": results, "error": None, "traceback": None}
 
 
 def _plain(value: Any) -> Any:

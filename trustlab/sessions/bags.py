@@ -13,11 +13,10 @@ import numpy as np
 import pandas as pd
 
 from trustlab.models.extras import extra
-from trustlab.sessions.columns import Table, stream_of
+from trustlab.sessions.columns import RawLog, Table, stream_of
 from trustlab.sessions.errors import RecipeError, SessionError, alternatives, damage_named
 from trustlab.sessions.patterns import Selector
 from trustlab.sessions.recipe import ColumnRule, Recipe
-from trustlab.sessions.resampling import RawLog
 from trustlab.sessions.session import Place, metadata_from_json
 from trustlab.sessions.tables import Chosen, positions
 
@@ -34,48 +33,48 @@ def read_bag(path: Path, recipe: Recipe, rules: Sequence[ColumnRule]) -> RawLog:
     """Return the log in a bag: a stream for each topic, timed from the last of the first stamps."""
     # A message that lacks the entry a rule selects is no sample of it, so that each selection is a
     # stream of its own.
-    groups: dict[tuple[str, str], list[ColumnRule]] = {}
+    groups = {}
     for rule in rules:
         groups.setdefault((rule.topic, rule.path.selectors), []).append(rule)
     if not groups:
         raise SessionError("none of the columns to read comes from a topic; add one that does")
-    samples: dict[tuple[str, str], list[tuple]] = {group: [] for group in groups}
-    count: Counter[str] = Counter()
-    frames: dict[str, object] = {}
+    samples = {group: [] for group in groups}
+    count = Counter()
+    frames = {}
     with _open(path) as reader:
         _check_topics(reader, rules)
-        for topic, row, stamp, message in _messages(reader, {topic for topic, _ in groups}):
-            count[topic] = row + 1
-            if recipe.time.of(topic) == "header":
+        for topic, stamp, message in _messages(reader, {topic for topic, _ in groups}):
+            if recipe.time.stamp_of(topic) == "header":
                 stamp = _header_stamp(message, topic)
             for (source, entry), members in groups.items():
                 if source == topic:
-                    values = [_value(message, row, rule, frames) for rule in members]
+                    values = [_value(message, count[topic], rule, frames) for rule in members]
                     if None not in values:
-                        samples[topic, entry].append((row, stamp, *values))
+                        samples[topic, entry].append((count[topic], stamp, *values))
+            count[topic] += 1
     for (topic, entry), rows in samples.items():
         if not rows:
-            fault = f"none of its {count[topic]} messages has an entry {entry}"
-            raise SessionError(f"topic {topic!r}: {fault}")
+            raise SessionError(
+                f"topic {topic!r}: none of its {count[topic]} messages has an entry {entry}"
+            )
     start = max(rows[0][1] for rows in samples.values())
     log = RawLog(str(path), [], notes={"start_time": start / 1e9})
-    for (topic, entry), rows in samples.items():
+    for (topic, entry), members in groups.items():
+        rows = samples[topic, entry]
         if len(rows) < count[topic]:
             words = f"{len(rows)} of {count[topic]} messages have the entry"
             log.notes[f"selected {topic}{entry}"] = words
-        numbers, stamps, *values = zip(*rows, strict=True)
-        members = groups[topic, entry]
+        frame = pd.DataFrame(rows, columns=["row", "stamp", *(rule.name for rule in members)])
         # Differences of whole nanoseconds are exact; as floats the stamps would be 0.2 µs apart at
         # best.
-        t = (np.array(stamps, dtype=np.int64) - start) / 1e9
-        frame = pd.DataFrame({rule.name: each for rule, each in zip(members, values, strict=True)})
-        table = Table(frame, _place(topic, numbers), notes=log.notes)
-        log.streams.append(stream_of(table, t, members, recipe.time, topic + entry))
+        t = (frame["stamp"].to_numpy(dtype=np.int64) - start) / 1e9
+        table = Table(frame, _place(topic, frame["row"]), notes=log.notes)
+        log.streams.append(stream_of(table, t, members, recipe, topic + entry))
     return log
 
 
-def _place(topic: str, numbers: Sequence[int]) -> Place:
-    return lambda k: f"topic {topic!r}, message {numbers[k]} (from 0)"
+def _place(topic: str, rows: pd.Series) -> Place:
+    return lambda k: f"topic {topic!r}, message {rows[k]} (from 0)"
 
 
 def _check_topics(reader, rules: Sequence[ColumnRule]) -> None:
@@ -106,7 +105,7 @@ def read_written(path: Path, chosen: Chosen) -> Table:
         names.remove("metadata")
         places = positions(chosen, names)
         topics = {PREFIX + name: [] for name in ("metadata", *places)}
-        for topic, *_, message in _messages(reader, topics):
+        for topic, _, message in _messages(reader, topics):
             topics[topic].append(getattr(message, "data", None))
     with _guard():
         metadata, more = metadata_from_json(topics.pop(f"{PREFIX}metadata")[0])
@@ -119,28 +118,26 @@ def read_written(path: Path, chosen: Chosen) -> Table:
 
 def _types(reader) -> dict[str, str]:
     """Return the topics of an open bag and the types of their messages."""
-    types: dict[str, str] = {}
+    types = {}
     for connection in reader.connections:
-        topic, kind = str(connection.topic), str(connection.msgtype)
-        known = types.setdefault(topic, kind)
-        types[topic] = kind if known == kind else f"{known} and {kind}"
-    return types
+        types.setdefault(str(connection.topic), set()).add(str(connection.msgtype))
+    return {topic: " and ".join(sorted(kinds)) for topic, kinds in types.items()}
 
 
-def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, int, Any]]:
-    """Yield topic, number, time of receipt [ns] and message, by time; all must be there."""
-    chosen = [connection for connection in reader.connections if connection.topic in topics]
-    expected: Counter[str] = Counter()
-    count: Counter[str] = Counter()
-    with _guard():
+def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
+    """Yield topic, time of receipt [ns] and message, by time; all must be there."""
+    expected, count = Counter(), Counter()
+    with _guard():  # what is done with a message happens outside
+        chosen = [connection for connection in reader.connections if connection.topic in topics]
         for connection in chosen:
             expected[connection.topic] += int(connection.msgcount)
-    for topic, stamp, message in _decoded(reader, chosen):
-        # Differences of stamps must not overflow.
-        if not isinstance(stamp, int) or not abs(stamp) < 2**62:
-            raise SessionError(f"topic {topic!r}: a message has the time {stamp} ns")
-        yield topic, count[topic], stamp, message
-        count[topic] += 1
+        for connection, stamp, data in reader.messages(connections=chosen):
+            topic = connection.topic
+            # Differences of stamps must not overflow.
+            if not isinstance(stamp, int) or not abs(stamp) < 2**62:
+                raise SessionError(f"topic {topic!r}: a message has the time {stamp} ns")
+            count[topic] += 1
+            yield topic, stamp, reader.deserialize(data, connection.msgtype)
     for topic in topics:
         if count[topic] == 0:
             raise SessionError(f"topic {topic!r} has no messages; was it being published?")
@@ -149,12 +146,6 @@ def _messages(reader, topics: Collection[str]) -> Iterator[tuple[str, int, int, 
                 f"topic {topic!r}: the bag's index counts {expected[topic]} messages, "
                 f"but {count[topic]} are there; the bag is damaged or truncated"
             )
-
-
-def _decoded(reader, connections) -> Iterator[tuple[str, int, Any]]:
-    with _guard():  # of what is done with a message, nothing happens in here
-        for connection, stamp, data in reader.messages(connections=connections):
-            yield connection.topic, stamp, reader.deserialize(data, connection.msgtype)
 
 
 @contextmanager
@@ -194,8 +185,10 @@ def _header_stamp(message, topic: str) -> int:
     """Return the time of measurement [ns]."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     if stamp is None:
-        fault = f"topic {topic!r}: {message.__msgtype__} has no header stamp"
-        raise RecipeError(f'{fault}; say "receive" for it under [time] topics')
+        raise RecipeError(
+            f"topic {topic!r}: {message.__msgtype__} has no header stamp; say "
+            '"receive" for it under [time] topics'
+        )
     return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
@@ -222,8 +215,7 @@ def _walk(message, rule: ColumnRule, frames: dict[str, object]) -> Any:
             if value is None:
                 return None
         elif step >= len(value):
-            fault = f"the list has {len(value)} entries, [{step}] is not among them"
-            raise SessionError(fault)
+            raise SessionError(f"the list has {len(value)} entries, [{step}] is not among them")
         else:
             value = value[step]
             frame = getattr(value, "child_frame_id", None)
@@ -257,14 +249,14 @@ def _selected(entries, parent, selector: Selector) -> Any:
         try:
             names = [attrgetter(selector.key)(entry) for entry in entries]
         except AttributeError:
-            fault = f"neither the list's entries nor a list beside it are called {selector.key!r}"
-            raise RecipeError(fault) from None
+            raise RecipeError(
+                f"neither the list's entries nor a list beside it are called {selector.key!r}"
+            ) from None
     chosen = [
         entry for name, entry in zip(names, entries, strict=False) if str(name) == selector.value
     ]
     if len(chosen) > 1:
-        fault = f"{len(chosen)} entries are {selector}, so that it names none of them"
-        raise SessionError(fault)
+        raise SessionError(f"{len(chosen)} entries are {selector}, so that it names none of them")
     return chosen[0] if chosen else None
 
 

@@ -1,4 +1,4 @@
-"""What a recipe makes of the columns of a log: numbers in SI units, times, parts, sessions."""
+"""What a recipe makes of a log: numbers in SI units, times, parts, uniform samples, sessions."""
 
 import math
 import re
@@ -10,20 +10,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from trustlab.models.checks import warn
 from trustlab.sessions.errors import RecipeError, SessionError
 from trustlab.sessions.recipe import (
     NUMBER,
     STATES,
-    BagTime,
     ColumnRule,
     MetadataRule,
     Recipe,
-    Resampling,
-    TableTime,
     looked_up,
     plain_key,
 )
-from trustlab.sessions.resampling import RawLog, Stream, require_common_times, resample, rounding
 from trustlab.sessions.session import (
     ROW,
     Metadata,
@@ -33,6 +30,9 @@ from trustlab.sessions.session import (
     check_rising,
     keep_table,
 )
+
+# The longest log that is made by resampling (five and a half hours at 1 kHz).
+MAX_SAMPLES = 20_000_000
 
 # How cells without a number are written.
 BLANKS = ("", "nan", "NaN", "NAN", "na", "NA", "n/a", "N/A", "null", "NULL", "none", "None", "-")
@@ -50,84 +50,118 @@ class Table:
     place: Place
     metadata: Metadata = field(default_factory=Metadata)
     notes: dict[str, object] = field(default_factory=dict)
-    decimal: str = "."
 
     def error(self, row: int, label: str, words: object) -> SessionError:
         """Return the error about a cell."""
         return SessionError(f"{self.place(row)}, {label}: {words}")
 
 
+@dataclass(frozen=True)
+class Stream:
+    """
+    Samples that share their times: the columns of a table, or what is read from one topic of a bag.
+
+    `frame` has them in SI units, indexed by time [s]; `place(k)` says where sample k stands in the
+    file. `holds` is True where the last sample lasts until the log ends; `begin` is the time of the
+    first sample in the file [s], whatever was cut since.
+    """
+
+    frame: pd.DataFrame
+    place: Place = ROW
+    topic: str = ""
+    holds: bool = False
+    begin: float = 0.0
+
+    @property
+    def t(self) -> np.ndarray:
+        """Time [s], shape (N,)."""
+        return self.frame.index.to_numpy()
+
+    def of(self, frame: pd.DataFrame) -> "Stream":
+        """Return the stream of other samples, which are no longer those of the file's rows."""
+        place = f"topic {self.topic!r}, " if self.topic else ""
+        return replace(self, frame=frame, place=f"{place}sample {{}}".format)
+
+
+@dataclass(frozen=True)
+class RawLog:
+    """
+    The streams of one file.
+
+    `metadata` is what the file says about itself, and `notes` are what reading adds to it
+    (start_time, resampled, what was filled, merged or split).
+    """
+
+    source: str
+    streams: list[Stream]
+    metadata: Metadata = field(default_factory=Metadata)
+    notes: dict[str, object] = field(default_factory=dict)
+
+
 def stream_of(
     table: Table,
     t: np.ndarray,
     rules: Sequence[ColumnRule],
-    time: TableTime | BagTime,
+    recipe: Recipe,
     topic: str = "",
-    gap: float = np.inf,
 ) -> Stream:
-    """
-    Return the columns of a table that rules name, in SI units, at times in seconds.
-
-    The log is split at gaps of more than `gap` [s].
-    """
-    values = {rule.name: numbers(table, rule) for rule in rules}
-    place = table.place
+    """Return the columns of a table that rules name, in SI units, at times in seconds."""
+    time = recipe.time
+    values = {rule.name: numbers(table, recipe, rule) for rule in rules}
+    # All rows as they stand are not copied: a log may have millions.
+    rows: Any = slice(None)
     late = np.count_nonzero(np.diff(t) < 0.0) if time.sort else 0
     if late:
-        order = np.argsort(t, kind="stable")
-        t, place = t[order], lambda row: table.place(order[row])
-        values = {name: column[order] for name, column in values.items()}
+        rows = np.argsort(t, kind="stable")
         table.notes[f"sorted {topic}".strip()] = f"{late} samples stood after a later one"
-    begin = t[0]
+    begin, steps = t[rows][0], np.diff(t[rows])
     # A blank is filled from neighbours in its own session: not from across a jump of time or a gap.
-    steps = np.diff(t)
     back = (steps < 0.0) & bool(time.jumps)
-    cuts = np.flatnonzero(back | (steps > gap)) + 1
-    whole = np.ones(t.size, dtype=bool)
+    if any(rule.blank for rule in rules):
+        rows = np.arange(t.size)[rows]
+        parts = np.split(rows, np.flatnonzero(back | (steps > recipe.gap)) + 1)
     for rule in rules:
-        blank = np.isnan(values[rule.name]) if rule.blank else np.True_
-        if blank.all():  # of a column of blanks alone its check says so
-            continue
-        note = f"{blank.sum()} of {t.size} cells, filled by {rule.blank!r}"
-        table.notes[f"blanks of {rule.name}"] = note
-        parts = zip(np.split(t, cuts), np.split(values[rule.name], cuts), strict=True)
-        values[rule.name] = np.concatenate([_filled(*part, rule.blank) for part in parts])
-        whole &= ~np.isnan(values[rule.name])
-    if not whole.all():
-        rows = np.flatnonzero(whole)
-        if not rows.size:
+        if rule.blank:
+            column = pd.Series(values[rule.name], t)
+            note = f"{column.isna().sum()} of {t.size} cells, filled by {rule.blank!r}"
+            table.notes[f"blanks of {rule.name}"] = note
+            values[rule.name] = np.full(t.size, np.nan)
+            for part in parts:
+                values[rule.name][part] = _filled(column.iloc[part], rule.blank)
+            rows = rows[~np.isnan(values[rule.name][rows])]
+    left = t[rows]
+    if left.size < t.size:
+        table.notes["rows cut"] = (
+            f"{t.size - left.size} of {t.size}, where blanks have no neighbour"
+        )
+        if not left.size:
             raise SessionError("no row has a value, or blanks to be filled, in every column")
-        if np.count_nonzero(np.diff(t[rows]) < 0.0) < np.count_nonzero(back):
+        if np.count_nonzero(np.diff(left) < 0.0) < np.count_nonzero(back):
             raise SessionError(
                 "without the rows whose blanks have no neighbour in their session, time does not "
                 "run back where the next begins; fill these cells in the log"
             )
-        cut = f"{t.size - rows.size} of {t.size}, where blanks have no neighbour"
-        table.notes["rows cut"] = cut
-        of_all = place
-        t, place = t[rows], lambda row: of_all(rows[row])
-        values = {name: column[rows] for name, column in values.items()}
-    for rule in rules:
-        column = rule.convert(values[rule.name])
-        values[rule.name] = check_column(rule.name, column, t, place)
-    frame = pd.DataFrame(values, index=pd.Index(t, copy=False), copy=False)
+
+    def place(k: int) -> str:
+        return table.place(k if isinstance(rows, slice) else rows[k])
+
+    columns = {
+        rule.name: check_column(rule.name, rule.convert(values[rule.name][rows]), left, place)
+        for rule in rules
+    }
+    frame = pd.DataFrame(columns, index=pd.Index(left, copy=False), copy=False)
     return Stream(frame, place, topic, all(rule.hold for rule in rules), begin)
 
 
-def _filled(t: np.ndarray, values: np.ndarray, way: str) -> np.ndarray:
-    """Return values whose blanks hold the one before, or lie on a line between neighbours."""
-    blank = np.isnan(values)
-    if way == "hold" or blank.all():
-        return pd.Series(values).ffill().to_numpy()
-    filled = values.copy()
-    filled[blank] = np.interp(t[blank], t[~blank], values[~blank], left=np.nan, right=np.nan)
-    return filled
+def _filled(column: pd.Series, way: str) -> pd.Series:
+    """Return a column whose blanks hold the value before, or lie on a line between neighbours."""
+    return column.ffill() if way == "hold" else column.interpolate("index", limit_area="inside")
 
 
 # --- cells to numbers ---------------------------------------------------------------------------
 
 
-def numbers(table: Table, rule: ColumnRule | None = None) -> np.ndarray:
+def numbers(table: Table, recipe: Recipe, rule: ColumnRule | None = None) -> np.ndarray:
     """Return the numbers of a column, or of times where there is no rule; NaN for blank cells."""
     values = table.frame[rule.name if rule else "t"]
     label = rule.label if rule else "column t"
@@ -148,7 +182,7 @@ def numbers(table: Table, rule: ColumnRule | None = None) -> np.ndarray:
     known = np.full(len(words) + 1, np.nan)  # the last is for cells that are missing
     for k, word in enumerate(words):
         try:
-            known[k] = _number(word, mapped, table.decimal)
+            known[k] = _number(word, mapped, recipe.table.decimal)
         except ValueError as error:
             raise table.error(int(np.argmax(codes == k)), label, error) from None
     return known[codes]
@@ -178,10 +212,11 @@ def _number(cell: object, mapped: ColumnRule | None, decimal: str) -> float:
 # --- times --------------------------------------------------------------------------------------
 
 
-def times_of(table: Table, time: TableTime) -> np.ndarray:
+def times_of(table: Table, recipe: Recipe) -> np.ndarray:
     """Return the times of a table's rows in seconds."""
+    time = recipe.time
     ways = {"iso": _dates, "clock": _times_of_day}
-    raw = ways.get(time.unit, numbers)(table)
+    raw = ways.get(time.unit, numbers)(table, recipe)
     blank = np.isnan(raw)
     if blank.any():
         raise table.error(int(np.argmax(blank)), "column t", "is blank; every row needs a time")
@@ -197,7 +232,7 @@ def times_of(table: Table, time: TableTime) -> np.ndarray:
         return np.asarray(time.seconds(raw), dtype=float)
 
 
-def _dates(table: Table) -> np.ndarray:
+def _dates(table: Table, _: Recipe) -> np.ndarray:
     """Return dates as whole nanoseconds since 1970; UTC without a time zone."""
     texts = table.frame["t"]
     if texts.dtype.kind != "M":
@@ -210,7 +245,7 @@ def _dates(table: Table) -> np.ndarray:
     return stamps.astype("datetime64[ns, UTC]").astype("int64").to_numpy()
 
 
-def _times_of_day(table: Table) -> np.ndarray:
+def _times_of_day(table: Table, _: Recipe) -> np.ndarray:
     """Return times of the day as seconds since the first midnight."""
     pattern = r"^\s*(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d{1,12})?)\s*$"
     parts = table.frame["t"].astype("str").str.extract(pattern, flags=re.ASCII)
@@ -234,7 +269,7 @@ def _check_times(table: Table, bad: pd.Series, example: str) -> None:
 # --- parts of a log -----------------------------------------------------------------------------
 
 
-def parts_of(log: RawLog, recipe: Recipe, resampling: Resampling | None) -> list[RawLog]:
+def parts_of(log: RawLog, recipe: Recipe) -> list[RawLog]:
     """Return the parts of a log that make a session each: all of it, or what the recipe splits."""
     time, gap = recipe.time, recipe.gap
     streams = log.streams
@@ -251,7 +286,7 @@ def parts_of(log: RawLog, recipe: Recipe, resampling: Resampling | None) -> list
         parts = [part for each in parts for part in _between_gaps(each, gap)]
     if not reasons:
         return [replace(log, streams=streams)]
-    sample_time = resampling.sample_time if resampling else 0.0
+    sample_time = recipe.resampling.sample_time if recipe.resampling else 0.0
     least = sample_time - rounding(log, sample_time)
     # Each topic needs a sample, and one of them two: one sample alone has no sample time.
     whole = [
@@ -263,14 +298,9 @@ def parts_of(log: RawLog, recipe: Recipe, resampling: Resampling | None) -> list
     if not whole:
         raise SessionError(f"{split}, no part has two samples, a sample time apart")
     words = f"of {len(whole)}, {split}; {len(parts) - len(whole)} too short"
-    return [
-        replace(
-            log,
-            streams=part,
-            notes=log.notes | {"part": k, "split": f"part {k} (from 0) {words}"},
-        )
-        for k, part in enumerate(whole)
-    ]
+    notes = [{"part": k, "split": f"part {k} (from 0) {words}"} for k in range(len(whole))]
+    pairs = zip(whole, notes, strict=True)
+    return [replace(log, streams=part, notes=log.notes | more) for part, more in pairs]
 
 
 def _merged(stream: Stream, rule: str, notes: dict) -> Stream:
@@ -307,6 +337,111 @@ def _within(stream: Stream, start: float, stop: float) -> Stream:
     return stream.of(part.set_axis(np.maximum(part.index, start)) if held else part)
 
 
+# --- a uniform time axis -------------------------------------------------------------------------
+
+
+def require_common_times(log: RawLog) -> None:
+    """Raise where the streams of a log have different times: only resampling joins them."""
+    first, *others = log.streams
+    for stream in others:
+        if not np.array_equal(stream.t, first.t):
+            raise RecipeError(
+                f"topics {first.topic!r} and {stream.topic!r} have stamps of their own; name how "
+                "to bring them together: [resampling] in the recipe, or "
+                'read_session(..., resample="previous", sample_time=0.1)'
+            )
+
+
+def rounding(log: RawLog, sample_time: float) -> float:
+    """Return how far times may be off [s]: dates in seconds are rounded to 0.24 µs."""
+    latest = log.notes.get("start_time", 0.0) + max(stream.t[-1] for stream in log.streams)
+    return np.clip(2.0 * np.spacing(latest), 1e-6 * sample_time, 0.5 * sample_time)
+
+
+def resample(log: RawLog, recipe: Recipe) -> pd.DataFrame:
+    """Return the columns of a log on a uniform time axis; note how, and warn of long gaps."""
+    for stream in log.streams:
+        check_rising(stream.t, stream.place)
+    # Where every stream has samples: from the last first sample to the first last one. A stream
+    # that is held has a value beyond its last sample, so that it does not end this interval unless
+    # all are held.
+    bounding = [stream for stream in log.streams if not stream.holds] or [
+        max(log.streams, key=lambda stream: stream.t[-1])
+    ]
+    method, sample_time = recipe.resampling.method, recipe.resampling.sample_time
+    late = max(log.streams, key=lambda stream: stream.t[0])
+    early = min(bounding, key=lambda stream: stream.t[-1])
+    start, stop = late.t[0], early.t[-1]
+    if len(log.streams) > 1 and stop <= start:
+        raise SessionError(
+            f"topics do not overlap: {early.topic!r} ends {start - stop:.6g} s before "
+            f"{late.topic!r} starts (set hold = true for a topic whose last message holds to the "
+            "end)"
+        )
+    # A grid time that rounding put just before a sample belongs to that sample.
+    slack = rounding(log, sample_time)
+    steps = (stop - start + slack) / sample_time  # rounding must not cost the last sample
+    if not 1.0 <= steps < MAX_SAMPLES:
+        raise SessionError(
+            f"resampling {stop - start:.6g} s to {sample_time:g} s would make {steps + 1.0:.3g} "
+            f"samples, but 2 to {MAX_SAMPLES:,} are needed; check the times and their unit"
+        )
+    grid = np.minimum(start + sample_time * np.arange(int(steps) + 1), stop)
+    columns = {}
+    for stream in log.streams:
+        for name, values in stream.frame.items():
+            rule = recipe.columns[name]
+            usual = "previous" if rule.hold or (name in STATES and method == "linear") else method
+            columns[name] = _interpolate(
+                name, stream.t, values.to_numpy(), grid, slack, rule.resample or usual
+            )
+    longest = 0.0
+    for stream in bounding:
+        gaps = np.diff(stream.t)
+        k = int(np.argmax(gaps))
+        longest = max(longest, gaps[k])
+        # Much longer than the log's own steps and the new ones.
+        if gaps[k] > 10.0 * max(float(np.median(gaps)), sample_time):
+            where = f"{log.source} {stream.topic}".strip()
+            warn(
+                f"{where}: resampling bridges a gap of {gaps[k]:.6g} s at t = {stream.t[k]:.6g} s; "
+                "if the log was interrupted, cut the session there (session.between)"
+            )
+    log.notes["resampled"] = (
+        f"{method} at {sample_time:g} s; longest gap in the log {longest:.6g} s"
+    )
+    return pd.DataFrame(columns, index=grid)
+
+
+def _interpolate(
+    name: str,
+    times: np.ndarray,
+    values: np.ndarray,
+    grid: np.ndarray,
+    slack: float,
+    method: str,
+) -> np.ndarray:
+    """Return a column at the times of the grid; `slack` [s] is rounding."""
+    if name == "step_distance":  # since the sample before: what adds up is the way so far
+        way = _interpolate("way", times, values.cumsum(), grid, slack, method)
+        steps = np.diff(way).clip(min=0.0)
+        return np.r_[steps[:1], steps]
+    if method == "linear":
+        if name != "yaw":
+            return np.interp(grid, times, values)
+        # An angle turns the short way, and stays in [−π, π] if the samples are.
+        turned = np.interp(grid, times, np.unwrap(values))
+        return (
+            turned if np.abs(values).max() > np.pi else np.arctan2(np.sin(turned), np.cos(turned))
+        )
+    before = np.maximum(np.searchsorted(times, grid + slack, side="right") - 1, 0)
+    if method == "previous":
+        return values[before]
+    right = np.clip(np.searchsorted(times, grid), min(1, len(times) - 1), len(times) - 1)
+    left = np.maximum(right - 1, 0)
+    return values[np.where(grid - times[left] <= times[right] - grid, left, right)]
+
+
 # --- sessions -----------------------------------------------------------------------------------
 
 
@@ -315,14 +450,11 @@ def session_of(
     recipe: Recipe,
     values: Mapping[str, Any],
     selection: Sequence[str],
-    resampling: Resampling | None,
 ) -> Session:
     """Return the session of a log; `values` are those of `derived_values`."""
     place = log.streams[0].place
-    if resampling is not None:
-        for stream in log.streams:
-            check_rising(stream.t, stream.place)
-        frame, place = resample(log, resampling, recipe.columns), ROW
+    if recipe.resampling:
+        frame, place = resample(log, recipe), ROW
     else:
         require_common_times(log)
         frame = pd.concat([stream.frame for stream in log.streams], axis=1)

@@ -97,7 +97,7 @@ def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) 
             else:
                 import pyarrow.parquet as pq
 
-                layout, frame = [], pq.read_table(source).to_pandas(ignore_metadata=True)
+                layout, frame = {}, pq.read_table(source).to_pandas(ignore_metadata=True)
         if frame.empty:
             raise SessionError("no sample follows the names of its columns; draft from a whole log")
     with writing(target, SessionError):
@@ -105,8 +105,8 @@ def draft_recipe(path: str | os.PathLike, out: str | os.PathLike | None = None) 
     return target
 
 
-def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
-    """Return the lines of [table] that read a text table, and its first rows."""
+def _read(path: Path) -> tuple[dict[str, Any], pd.DataFrame]:
+    """Return the keys of [table] that read a text table, and its first rows."""
     with (gzip.open if path.suffix.lower() == ".gz" else open)(path, "rb") as file:
         head = file.read(HEAD) + file.readline(HEAD)
     refuse_encoding(head, "latin-1")  # what holds no text: that encoding has every byte
@@ -118,45 +118,42 @@ def _read(path: Path) -> tuple[list[str], pd.DataFrame]:
     skipped = next((k for k, line in enumerate(lines) if not line.startswith(COMMENTS)), 0)
     sample = [line.strip(" ") for line in lines[skipped : skipped + 50]]
     if not any(sample):
-        return [], pd.DataFrame()
+        return {}, pd.DataFrame()
     for delimiter in ";\t|, ":
-        rows = [*csv.reader(sample, delimiter=delimiter, skipinitialspace=True)]
-        widths = {len(row) for row in rows if row}
-        if len(widths) == 1 and widths != {1}:
+        rows = [
+            row for row in csv.reader(sample, delimiter=delimiter, skipinitialspace=True) if row
+        ]
+        if {len(row) for row in rows} == {max(2, len(rows[0]))}:
             break
     else:
         delimiter, rows = ",", [*csv.reader(sample)]
     comma = any(re.fullmatch(r"[+-]?\d+,\d+", cell) for row in rows[1:] for cell in row)
-    header = not all(NUMBER.fullmatch(cell.replace(",", ".")) for cell in rows[0])
-    decimal = "," if comma else "."
     layout = {
-        "header": header,
+        "header": not all(NUMBER.fullmatch(cell.replace(",", ".")) for cell in rows[0]),
         "delimiter": delimiter,
-        "decimal": decimal,
+        "decimal": "," if comma else ".",
         "skip_lines": skipped,
         "encoding": encoding,
     }
-    parse(TableRule, layout, "[table]")  # refuses what no recipe can state
+    rule = parse(TableRule, layout, "[table]")  # refuses what no recipe can state
     frame = pd.read_csv(
         io.StringIO("\n".join(lines[skipped:])),
         sep=r"\s+" if delimiter == " " else delimiter,
-        header=0 if header else None,
-        decimal=decimal,
+        header=0 if rule.header else None,
+        decimal=rule.decimal,
         na_values=list(BLANKS),
         skipinitialspace=True,
         on_bad_lines="skip",
         index_col=False,
     )
-    usual = vars(TableRule(delimiter=","))
-    stated = [f"{key} = {json.dumps(layout[key])}" for key in layout if layout[key] != usual[key]]
-    return stated, frame
+    return layout, frame
 
 
-def _recipe(title: str, layout: list[str], frame: pd.DataFrame) -> str:
+def _recipe(title: str, layout: dict[str, Any], frame: pd.DataFrame) -> str:
     """Return the text of the draft."""
     named = [name for name in frame if re.fullmatch(TIME, _parts(name)[0])]
     rising = [name for name in frame if frame[name].is_monotonic_increasing]
-    time = (named or rising or [frame.columns[0]])[0]
+    time = [*named, *rising, frame.columns[0]][0]
     unit, remark = _time_unit(time, frame[time])
     rules: dict[str, str] = {}
     rest = []
@@ -171,19 +168,20 @@ def _recipe(title: str, layout: list[str], frame: pd.DataFrame) -> str:
             'mode = { value = "?" }  # who drives: 1 manual, 0 autonomous; or { column = "...", '
             "map = { ... } }"
         )
-        words = [
-            name for name in rest if not _is_number(frame[name]) and frame[name].nunique() == 2
-        ]
-        if words:
-            rest.remove(words[0])
-            rules["mode"] = _rule("mode", words[0], frame[words[0]], "values")
+        for name in rest:
+            if not _is_number(frame[name]) and frame[name].nunique() == 2:
+                rest.remove(name)
+                rules["mode"] = _rule("mode", name, frame[name], "values")
+                break
+    table = [f"{key} = {json.dumps(value)}" for key, value in layout.items()]
+    unused = "".join(f"#   {name}\n" for name in rest)
     return "\n".join(
         [
             f"# Drafted from {title}: fill in what is marked ?, check what is guessed.",
             f"name = {_quoted(title.split('.')[0])}",
             'kind = "table"',
             "# performance_window = 100   # if p_r and p_h are moving means: over how many seconds",
-            *(["", "[table]", *layout] if layout else []),
+            *(["", "[table]", *table] if table else []),
             "",
             "[time]",
             f"column = {_quoted(time)}",
@@ -193,8 +191,7 @@ def _recipe(title: str, layout: list[str], frame: pd.DataFrame) -> str:
             "[columns]",
             *rules.values(),
             "# What a column may be called: trustlab.sessions.vocabulary(). Not used:",
-            *[f"#   {name}" for name in rest],
-            "",
+            unused,
         ]
     )
 

@@ -28,11 +28,13 @@ class Header:
 
     def row(self, match: PathMatch) -> dict[str, object]:
         """Return the cells of a session, as "header." and the name of their column."""
-        path, key = self._path(match), self._key(match)
+        path, key = self._place(match)
         rows = self._table(path)
         if key not in rows:
-            fault = f"the header {path} has no row for {self._words(key)}"
-            raise SessionError(f"{fault}; add it, or move the file out of the folder")
+            raise SessionError(
+                f"the header {path} has no row for {self._words(key)}; add it, or move the file "
+                "out of the folder"
+            )
         return {f"header.{name}": value for name, value in rows[key].items()}
 
     def check(self, paths: Sequence[str], matches: Mapping[str, PathMatch]) -> None:
@@ -42,20 +44,21 @@ class Header:
         for path, match in matches.items():
             with source_named(path):
                 self.row(match)
-            used.get(self._path(match), set()).add(self._key(match))
+            header, key = self._place(match)
+            used.get(header, set()).add(key)
         for header, keys in used.items():
             for key in self._table(header).keys() - keys:
-                fault = f"names {self._words(key)}, which has no file; add it or remove the row"
-                raise SessionError(fault, header)
+                raise SessionError(
+                    f"names {self._words(key)}, which has no file; add it or remove the row", header
+                )
 
     def _words(self, key: tuple[str, ...]) -> str:
         return ", ".join(map(" ".join, zip(self.rule.keys.values(), key, strict=True)))
 
-    def _path(self, match: PathMatch) -> str:
-        return os.path.join(match.base, self.rule.file.fill(match.texts))
-
-    def _key(self, match: PathMatch) -> tuple[str, ...]:
-        return tuple(plain_key(match.fields[name]) for name in self.rule.keys)
+    def _place(self, match: PathMatch) -> tuple[str, tuple[str, ...]]:
+        """Return the header file of a session, and the key of its row."""
+        path = os.path.join(match.base, self.rule.file.fill(match.texts))
+        return path, tuple(plain_key(match.fields[name]) for name in self.rule.keys)
 
     def _read(self, path: str) -> dict[tuple, dict]:
         """Return the rows of a header file by key."""
@@ -68,7 +71,7 @@ class Header:
             for column in self.rule.keys.values():
                 if list(cells.columns).count(column) != 1:
                     raise SessionError(f"needs one column {column!r}{did_you_mean(column, cells)}")
-            rows: dict[tuple, dict] = {}
+            rows = {}
             for line, values in enumerate(cells.to_dict("records"), start=2):
                 row = {name: _typed(cell.strip()) for name, cell in values.items()}
                 key = tuple(plain_key(row[column]) for column in self.rule.keys.values())
@@ -97,9 +100,11 @@ def logs_in(folder: str) -> list[str]:
         )
     ]
     if not logs:
-        fault = f"there are no logs in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders)"
-        remedy = "for logs further down, give a recipe with a [files] pattern"
-        raise SessionError(f"{fault}; {remedy}", folder)
+        raise SessionError(
+            f"there are no logs in this folder (known: {', '.join(SUFFIXES)}, rosbag2 folders); "
+            "for logs further down, give a recipe with a [files] pattern",
+            folder,
+        )
     return sorted(logs, key=natural_key)
 
 
@@ -108,9 +113,12 @@ def matching(folder: str, pattern: PathPattern, header: Header | None) -> list[s
     paths = list(_files(folder))
     matches = {path: match for path in paths if (match := pattern.match(path))}
     if not matches:
-        fault = f"no file in it fits the recipe's pattern {pattern.text!r}"
-        raise SessionError(f"{fault} (there are {', '.join(paths[:3]) or 'none'} …)", folder)
-    same: dict[tuple, str] = {}
+        raise SessionError(
+            f"no file in it fits the recipe's pattern {pattern.text!r} (there are "
+            f"{', '.join(paths[:3]) or 'none'} …)",
+            folder,
+        )
+    same = {}
     for path, match in matches.items():
         key = tuple(match.fields.items())
         twin = same.setdefault(key, path)
@@ -126,7 +134,7 @@ def matching(folder: str, pattern: PathPattern, header: Header | None) -> list[s
 
 def _files(folder: str) -> Iterator[str]:
     """Yield the files at any depth of a folder, and its rosbag2 folders in place of their files."""
-    known: list[Path] = []
+    known = []
     for here, folders, files in os.walk(folder, followlinks=True):
         if not known or os.path.islink(here):  # a link may lead to what is read elsewhere
             target = Path(here).resolve()

@@ -233,11 +233,11 @@ def with_performance(
         if u_max is not None or axes != "xyz":
             raise ValueError("u_max and axes are not used by (2.4) and (2.7); leave them out")
         e_max = 2.0 if e_max is None else e_max
-        session.require("step_distance", "path_error", "v_command", "w_command")
-        p_r = goal_speed(
-            session["step_distance"], session["path_error"], session.sample_time, e_max
-        )
-        p_h = manoeuvring(session["v_command"], session["w_command"], session["path_error"], e_max)
+        names = ("step_distance", "path_error", "v_command", "w_command")
+        session.require(*names)
+        step_distance, path_error, v_command, w_command = (session[name] for name in names)
+        p_r = goal_speed(step_distance, path_error, session.sample_time, e_max)
+        p_h = manoeuvring(v_command, w_command, path_error, e_max)
         _warn_of_idle_commands(session)
         equations = "(2.4), (2.7)"
     elif e_max is None or u_max is None:
@@ -247,9 +247,7 @@ def with_performance(
         p_r = nearness(session["path_error"], e_max)
         equations = "Section 2.4.2.4"
     else:
-        u_h = vector("u_h")
-        u_i = vector("u_i")
-        u_a = vector("u_a")
+        u_h, u_a, u_i = (vector(stem) for stem in ("u_h", "u_a", "u_i"))
         apart = vector("reference") - vector("robot")
         share = session["alpha" if "alpha" in session else "mode"]
         p_r, p_h = mixed_initiative(u_h, u_a, u_i, apart, share, u_max, e_max)
@@ -258,10 +256,10 @@ def with_performance(
     p_r, p_h = (window_mean(values, step, window) for values in (p_r, p_h))
     window = round(round(window / step) * step, 9)  # as averaged
     if window > session.duration:
-        short = (
-            f"{session.label} lasts {session.duration:g} s, less than the window of {window:g} s"
+        warn(
+            f"{session.label} lasts {session.duration:g} s, less than the window of {window:g} s: "
+            "every value is the mean of what there was so far"
         )
-        warn(f"{short}: every value is the mean of what there was so far")
     note = f"{equations}, window {window:g} s"
     # The new means begin where the session does, also where older ones had been cut.
     more = {**session.metadata.more, "performance": note, "performance_window": window}
@@ -274,10 +272,10 @@ def _warn_of_idle_commands(session) -> None:
     """Warn where nothing was commanded while the robot drove: P_h would follow the mode."""
     if "mode" not in session:
         return
-    idle = (np.abs(session["v_command"]) < IDLE) & (np.abs(session["w_command"]) < IDLE)
-    autonomous = session["mode"] < 0.5
-    idle_by_hand = idle[~autonomous].mean() if not autonomous.all() else 0.0
-    if autonomous.any() and idle[autonomous].mean() > 0.5 > idle_by_hand:
+    idle = (session.data[["v_command", "w_command"]].abs() < IDLE).all(axis=1)
+    autonomous = session.data["mode"] < 0.5
+    # Of no samples the mean is NaN, which is neither above nor below.
+    if idle[autonomous].mean() > 0.5 and not idle[~autonomous].mean() >= 0.5:
         warn(
             f"{session.label}: the operator's commands are zero in "
             f"{100 * idle[autonomous].mean():.0f} % of the autonomous phases. (2.7) asks for what "
@@ -314,12 +312,11 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
         level.
     """
     # A session alone is iterable too, over the names of its columns.
-    trials = [sessions] if hasattr(sessions, "metadata") else sessions
-    rows = sorted(map(_trial, trials), key=lambda row: natural_key(row["trial"]))
-    trials = pd.DataFrame(rows)
-    if trials.empty or trials["training"].all():
+    sessions = [sessions] if hasattr(sessions, "metadata") else sessions
+    rows = sorted(map(_trial, sessions), key=lambda row: natural_key(row["trial"]))
+    trials = pd.DataFrame([row for row in rows if not row["training"]])
+    if trials.empty:
         raise SessionError("no trial to average: all are training, or none was given")
-    trials = trials[~trials["training"].astype(bool)].copy()
     twice = trials[trials.duplicated(["participant", "trial"])]
     if len(twice):
         raise SessionError(
@@ -328,11 +325,11 @@ def tracking_error(sessions: Iterable, drop_first: int = 1) -> pd.DataFrame:
     order = trials.groupby(["participant", "block"]).cumcount()
     trials["traj_err"] = trials["traj_err"].where(order >= drop_first)
     table = trials.groupby(["participant", "autonomy"], as_index=False)[["traj_err"]].mean()
-    lost = table[table["traj_err"].isna()]
-    if len(lost):
-        first = next(lost.itertuples())
-        where = f"participant {first.participant}, autonomy {first.autonomy}"
-        raise SessionError(f"{where}: no trial is left after dropping the first {drop_first}")
+    for lost in table[table["traj_err"].isna()].itertuples():
+        raise SessionError(
+            f"participant {lost.participant}, autonomy {lost.autonomy}: no trial is left after "
+            f"dropping the first {drop_first}"
+        )
     return table
 
 
@@ -345,8 +342,11 @@ def _trial(session) -> dict[str, object]:
         if facts.get(name) is None:
             raise SessionError(f"metadata {name!r} is missing", session.metadata.source)
     if facts["training"] not in (0, 1):
-        fault = f"metadata 'training' must be true or false, got {shown(facts['training'])}"
-        raise SessionError(f"{fault}; give the recipe a map", session.metadata.source)
+        raise SessionError(
+            f"metadata 'training' must be true or false, got {shown(facts['training'])}; give the "
+            "recipe a map",
+            session.metadata.source,
+        )
     return {name: facts[name] for name in names} | {
         "traj_err": 100.0 * session["path_error"].mean()
     }

@@ -40,15 +40,15 @@ def plot_session(session, columns: str | list[str] | None = None):
     if not isinstance(columns, list | tuple) or not columns:
         raise SessionError(f"columns must be a list of names, got {shown(columns)}")
     session.require(*columns)
-    title = session.label + (" (manual phases shaded)" if "mode" in session else "")
+    shaded = "mode" in session
+    title = session.label + " (manual phases shaded)" * shaded
     size = (8, 1.2 + 1.5 * len(columns))
     axes = axes_or_new(None, len(columns), title=title, sharex=True, squeeze=False, figsize=size)
     for panel, name in zip(axes[:, 0], columns, strict=True):
         panel.plot(session.t, session[name], lw=1)
         unit = "s" if name == "t" else VOCABULARY[name].unit
-        words = LABELS.get(name, name)
-        panel.set_ylabel(words if unit in ("1", "measure") else f"{words} [{unit}]")
-        if "mode" in session and name != "mode":
+        panel.set_ylabel(LABELS.get(name, name) + f" [{unit}]" * (unit not in ("1", "measure")))
+        if shaded and name != "mode":
             shade_manual(panel, session.t, session["mode"])
     axes[-1, 0].set_xlabel("time [s]")
     return axes[:, 0]
@@ -72,7 +72,6 @@ def plot_paths(sessions: Sequence, plane: str = "xy", titles: Sequence[str] | No
     -------
     numpy.ndarray of matplotlib.axes.Axes
     """
-    sessions = list(sessions)
     across, up = plane[0], plane[1]
     size = (min(2.4 * len(sessions), 10.0), 2.8)
     axes = axes_or_new(columns=len(sessions), sharex=True, sharey=True, squeeze=False, figsize=size)
@@ -114,13 +113,7 @@ def plot_by_participant(table, value: str, by: str = "autonomy", axis=None):
     wide = table.pivot_table(index="participant", columns=by, values=value)
     axis = axes_or_new(axis, figsize=(6, 3.4))
     axis.plot(wide.columns, wide.T, "o-", lw=0.8, ms=3, color="0.7")
-    axis.plot(
-        wide.columns,
-        wide.mean(),
-        "o-",
-        lw=2.2,
-        color="C0",
-        label=f"mean of {len(wide)} participants",
-    )
+    mean = f"mean of {len(wide)} participants"
+    axis.plot(wide.columns, wide.mean(), "o-", lw=2.2, color="C0", label=mean)
     axis.set(xlabel=by, ylabel=value)
     return axis

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, get_args
@@ -9,11 +10,12 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import of_class, one_of, shown, warn
+from trustlab.models.checks import list_of, of_class, one_of, shown, warn
 from trustlab.models.files import path_of
 from trustlab.models.published import data_folder
 from trustlab.sessions.bags import read_bag, read_written
 from trustlab.sessions.columns import (
+    RawLog,
     Table,
     derived_values,
     parts_of,
@@ -36,11 +38,10 @@ from trustlab.sessions.recipe import (
     Recipe,
     Resampling,
     TableRule,
-    TableTime,
+    TimeRule,
     load_recipe,
     parse,
 )
-from trustlab.sessions.resampling import RawLog
 from trustlab.sessions.session import Session
 from trustlab.sessions.tables import (
     BAGS,
@@ -52,7 +53,7 @@ from trustlab.sessions.tables import (
     read_parquet,
     suffix_of,
 )
-from trustlab.sessions.vocabulary import known_column
+from trustlab.sessions.vocabulary import VOCABULARY
 
 
 def read_session(
@@ -115,7 +116,7 @@ def read_session(
     >>> session.columns, session.sample_time
     (['mode', 'p_r', 'p_h'], 0.1)
     """
-    reader = Reader(recipe, columns, resample, sample_time, delimiter, decimal)
+    reader = Reader(recipe, columns, resample, sample_time, delimiter=delimiter, decimal=decimal)
     sessions = reader.read(path)
     reader.warn()
     return _only(sessions, str(path), "read_sessions returns all of a folder's")
@@ -205,8 +206,9 @@ def example(name: str = "pilot") -> Session:
 def _only(sessions: list[Session], source: str, remedy: str) -> Session:
     """Return the only session of a log."""
     if len(sessions) != 1:
-        fault = f"the recipe splits the log into {len(sessions)} sessions"
-        raise SessionError(f"{fault}; {remedy}", source)
+        raise SessionError(
+            f"the recipe splits the log into {len(sessions)} sessions; {remedy}", source
+        )
     return sessions[0]
 
 
@@ -290,12 +292,13 @@ def read_sessions(
     ['pilot', '1', '2', '3', '4', '5']
     """
     one_of("on_error", on_error, ("raise", "collect"))
-    reader = Reader(recipe, columns, resample, sample_time, delimiter, decimal)
+    reader = Reader(recipe, columns, resample, sample_time, delimiter=delimiter, decimal=decimal)
     source = str(path_of("folder", folder))
     if not os.path.isdir(source):
         hint = "; read a single file with read_session" if os.path.exists(source) else ""
         raise SessionError(f"there is no such folder{hint}", source)
-    paths = matching(source, reader.pattern, reader.header) if reader.pattern else logs_in(source)
+    pattern = reader.recipe.pattern
+    paths = matching(source, pattern, reader.header) if pattern else logs_in(source)
     sessions, faults = [], []
     for path in paths:
         try:
@@ -315,40 +318,43 @@ def read_sessions(
 
 
 class Reader:
-    """The arguments of `read_session`, checked, for one file or for many."""
+    """The arguments of `read_session`, checked and put into the recipe, for one file or many."""
 
-    def __init__(self, recipe, columns, resample, sample_time, delimiter=None, decimal=None):
+    def __init__(self, recipe, columns, resample, sample_time, **layout):
         # Without a recipe, the columns are those that a table turns out to have.
         self.plain = recipe is None
-        self.recipe = plain_recipe(()) if self.plain else load_recipe(recipe)
-        self.pattern, self.resampling = self.recipe.pattern, self.recipe.resampling
-        self.header = Header(self.recipe.header) if self.recipe.header else None
-        self.columns = None if columns is None else self._selected(columns)
+        self.recipe = PLAIN if self.plain else load_recipe(recipe)
+        self.layout = {name: value for name, value in layout.items() if value is not None}
+        if self.layout:
+            table = parse(TableRule, self.layout, "delimiter and decimal")
+            if not self.plain:
+                raise RecipeError(
+                    "delimiter and decimal are given beside a recipe: state them in its [table]",
+                    self.recipe.source,
+                )
+            self.recipe = replace(self.recipe, table=table)
         if resample is not None or sample_time is not None:
             method: Any = one_of("resample", resample, get_args(Method))
-            self.resampling = Resampling(method=method, sample_time=sample_time)
-        self.layout = self.recipe.table
-        asked = {"delimiter": delimiter, "decimal": decimal}
-        self.asked = {name: value for name, value in asked.items() if value is not None}
-        if self.asked:
-            self.layout = parse(TableRule, self.asked, "delimiter and decimal")
-            if not self.plain:
-                fault = "delimiter and decimal are given beside a recipe: state them in its [table]"
-                raise RecipeError(fault, self.recipe.source)
+            rule = Resampling(method=method, sample_time=sample_time)
+            self.recipe = replace(self.recipe, resampling=rule)
+        self.columns = None if columns is None else self._selected(columns)
+        # The rules of the columns that come from the log, and of those that these need.
+        rules = rules_of(self.recipe, self.columns or list(self.recipe.columns))
+        self.rules = [rule for rule in rules if rule.kind in ("column", "topic")]
+        self.header = Header(self.recipe.header) if self.recipe.header else None
         # What to doubt in values that could be read, and the files where that is so.
         self.doubts: dict[str, list[str]] = {}
 
     def _selected(self, columns: Sequence[str]) -> list[str]:
         """Return the columns of the session that are asked for."""
-        names = columns if isinstance(columns, list | tuple) else []
-        names = [name for name in dict.fromkeys(names) if name != "t"]
+        names = [name for name in list_of("columns", columns) if name != "t"]
         if not names or not all(isinstance(name, str) for name in names):
             raise SessionError(f"columns must be a list of names besides t, got {shown(columns)}")
         for name in names:
-            if not self.plain and name not in self.recipe.columns:
-                known = alternatives(name, self.recipe.columns, "it has")
-                raise SessionError(f"columns: the recipe has no column {name!r}{known}")
-        return names
+            if name not in self.recipe.columns:
+                known = alternatives(name, self.recipe.columns)
+                raise SessionError(f"columns: there is no column {name!r}{known}")
+        return [*dict.fromkeys(names)]
 
     def read(self, path: str | os.PathLike) -> list[Session]:
         """Return the sessions of one file or rosbag2 folder: one, unless the recipe splits it."""
@@ -364,92 +370,79 @@ class Reader:
         suffix = suffix_of(path)
         bag = path.is_dir() or suffix in BAGS
         self._check_kind("bag" if bag else "table")
-        values = self._values_of(source)
-        if self.asked and suffix not in TEXTS:
+        if self.layout and suffix not in TEXTS:
             raise SessionError(f"delimiter and decimal do not apply to {suffix or 'a folder'}")
+        match = self.recipe.pattern and self.recipe.pattern.match(source)
+        values = {**match.fields} if match else {}
+        if match and self.header:
+            values |= self.header.row(match)
         if bag and not self.plain:
-            log = read_bag(path, self.recipe, self._measured(self.recipe))
-            return self._sessions(log, self.recipe, values)
+            log = read_bag(path, self.recipe, self.rules)
+            return self._sessions(log, values, list(self.recipe.columns))
         if bag:
             table = read_written(path, self._chosen())
         elif suffix in TEXTS:
-            table = read_csv(path, self._chosen(), self.layout, self._texts())
+            texts = {rule.name for rule in self.rules if rule.map}
+            if self.recipe.time.unit in ("iso", "clock"):
+                texts.add("t")
+            table = read_csv(path, self._chosen(), self.recipe.table, texts)
         else:
-            table = read_parquet(path, self._chosen(), self.layout)
+            table = read_parquet(path, self._chosen())
         return self._of_table(table, source, values)
 
     def read_frame(self, frame: pd.DataFrame, metadata: Mapping[str, object]) -> list[Session]:
         """Return the session in a data frame, or all that the recipe splits it into."""
-        # Fields of a path that no rule takes up are metadata like others.
-        used = {*self.recipe.metadata, *(rule.origin for rule in self.recipe.columns.values())}
-        used |= {rule.origin for rule in self.recipe.metadata.values()}
-        fields = used & {*(self.pattern.types if self.pattern else ())}
+        recipe = self.recipe
         with source_named("data frame"):
             self._check_kind("table")
-            table = frame_table(frame, self._chosen(), self.layout)
+            table = frame_table(frame, self._chosen())
             sessions = self._of_table(table, "data frame", metadata)
+        # Fields of a path that no rule takes up are metadata like others.
+        rules: list[Any] = [*recipe.columns.values(), *recipe.metadata.values()]
+        used = {*recipe.metadata, *(rule.origin for rule in rules)}
+        fields = used & {*(recipe.pattern.types if recipe.pattern else ())}
         more = {name: value for name, value in metadata.items() if name not in fields}
-        arguments = {*read_session.__annotations__, *read_frame.__annotations__}
-        arguments -= {"path", "return"}
         for name in more:
             # "resampled" is what reading itself notes.
-            close = get_close_matches(name, {*arguments, "resampled"}, n=1, cutoff=0.85)
-            if arguments & {*close}:
-                raise ValueError(
-                    f"{name!r} looks like the argument {close[0]!r}, not like metadata; correct it"
-                )
+            for close in get_close_matches(name, [*ARGUMENTS, "resampled"], n=1, cutoff=0.85):
+                if close in ARGUMENTS:
+                    raise ValueError(
+                        f"{name!r} looks like the argument {close!r}, not like metadata; correct it"
+                    )
         return [session.with_metadata(**more) for session in sessions] if more else sessions
 
     def _check_kind(self, kind: str) -> None:
-        if not self.plain and self.recipe.kind != kind:
-            fault = f"recipe {self.recipe.name!r} reads a {self.recipe.kind}, but this is a {kind}"
-            raise RecipeError(fault)
-
-    def _values_of(self, source: str) -> dict[str, object]:
-        """Return what the path of a file and the header say of its session."""
-        match = self.pattern.match(source) if self.pattern else None
-        if match is None:
-            return {}
-        return {**match.fields, **(self.header.row(match) if self.header else {})}
-
-    def _measured(self, recipe: Recipe) -> list[ColumnRule]:
-        """Return the rules of the columns that come from the log, and of those these need."""
-        rules = rules_of(recipe, self.columns or list(recipe.columns))
-        return [rule for rule in rules if rule.kind in ("column", "topic")]
+        recipe = self.recipe
+        if not self.plain and recipe.kind != kind:
+            raise RecipeError(f"recipe {recipe.name!r} reads a {recipe.kind}, but this is a {kind}")
 
     def _chosen(self) -> Chosen:
         """Return which columns of a table to read: the session's name of each, to the table's."""
-        if self.plain:
-            return {name: name for name in ("t", *self.columns)} if self.columns else None
-        rules = self._measured(self.recipe)
-        return {"t": self.recipe.time.column} | {rule.name: rule.column for rule in rules}
-
-    def _texts(self) -> set[str]:
-        """Return the columns whose cells are read as texts."""
-        if self.plain:
-            return set()
-        times = {"t"} if self.recipe.time.unit in ("iso", "clock") else set()
-        return times | {rule.name for rule in self._measured(self.recipe) if rule.map}
+        if self.plain and not self.columns:
+            return None
+        return {"t": self.recipe.time.column} | {rule.name: rule.column for rule in self.rules}
 
     def _of_table(self, table: Table, source: str, values: Mapping) -> list[Session]:
         """Return the sessions of a table."""
         if table.frame.empty:
             raise SessionError("nothing follows the column names; the log has no samples")
-        recipe = self.recipe
-        if self.plain:
-            recipe = plain_recipe([name for name in table.frame if name != "t"])
-        t = times_of(table, recipe.time)
-        stream = stream_of(table, t, self._measured(recipe), recipe.time, gap=recipe.gap)
-        return self._sessions(RawLog(source, [stream], table.metadata, table.notes), recipe, values)
+        recipe, names = self.recipe, [name for name in table.frame if name != "t"]
+        rules = [recipe.columns[name] for name in names]
+        t = times_of(table, recipe)
+        stream = stream_of(table, t, rules, recipe)
+        log = RawLog(source, [stream], table.metadata, table.notes)
+        return self._sessions(log, values, names if self.plain else list(recipe.columns))
 
-    def _sessions(self, log: RawLog, recipe: Recipe, values: Mapping[str, Any]) -> list[Session]:
-        """Return the sessions that a log makes."""
-        values = derived_values(recipe, values)
-        selection = self.columns or list(recipe.columns)
-        parts = parts_of(log, recipe, self.resampling)
-        sessions = [session_of(part, recipe, values, selection, self.resampling) for part in parts]
+    def _sessions(
+        self, log: RawLog, values: Mapping[str, Any], names: Sequence[str]
+    ) -> list[Session]:
+        """Return the sessions that a log makes, with columns of these names or those asked for."""
+        values = derived_values(self.recipe, values)
+        selection = self.columns or names
+        parts = parts_of(log, self.recipe)
+        sessions = [session_of(part, self.recipe, values, selection) for part in parts]
         for session in sessions:
-            for doubt in doubts(session, log.notes, recipe.time):
+            for doubt in doubts(session, log.notes, self.recipe.time):
                 self.doubts.setdefault(doubt, []).append(log.source)
         return sessions
 
@@ -461,27 +454,37 @@ class Reader:
             warn(f"{files[0]}{more}: {doubt}")
 
 
-def plain_recipe(names: Sequence[str]) -> Recipe:
-    """Return the recipe of a log whose columns are those of the vocabulary, in SI units."""
-    columns = {
-        name: ColumnRule(name=name, kind="column", column=name, unit=known_column(name).unit)
-        for name in names
-    }
-    return Recipe(kind="table", time=TableTime(unit="s"), columns=columns)
+# Names of arguments: what a caller of `read_frame` writes nearly so is a slip, not metadata.
+ARGUMENTS = ("frame", "recipe", "columns", "resample", "sample_time", "delimiter", "decimal")
+
+# The recipe of a log whose columns are those of the vocabulary, in SI units.
+PLAIN = Recipe(
+    kind="table",
+    time=TimeRule(kind="table", unit="s"),
+    columns={
+        name: ColumnRule(name=name, kind="column", column=name, unit=column.unit)
+        for name, column in VOCABULARY.items()
+    },
+)
 
 
 def existing(path: Path) -> Path:
     """Return the path when something that can be read is there."""
-    if not path.exists():
+    if path.is_dir():
+        if not (path / "metadata.yaml").is_file():
+            raise SessionError(
+                "a folder without metadata.yaml is not a rosbag2 recording; use read_sessions for "
+                "a folder of sessions, `ros2 bag reindex` for a recording"
+            )
+    elif not path.is_file():  # nor are devices and pipes, which never end
         looked = "" if path.is_absolute() else f" (looked in {path.parent.absolute()})"
         raise SessionError(f"there is no file at this path{looked}")
-    if path.is_dir() and not (path / "metadata.yaml").is_file():
-        remedy = "use read_sessions for a folder of sessions, `ros2 bag reindex` for a recording"
-        raise SessionError(f"a folder without metadata.yaml is not a rosbag2 recording; {remedy}")
-    if path.is_file() and suffix_of(path) not in SUFFIXES:
+    elif suffix_of(path) not in SUFFIXES:
         hint = alternatives(path.suffix, [*SUFFIXES, "rosbag2 folders"])
-        way = "read the file into a data frame, then trustlab.read_frame(frame)"
-        raise SessionError(f"cannot read {path.suffix or 'files without a suffix'}{hint}; {way}")
+        raise SessionError(
+            f"cannot read {path.suffix or 'files without a suffix'}{hint}; read the file into a "
+            "data frame, then trustlab.read_frame(frame)"
+        )
     return path
 
 
@@ -512,9 +515,7 @@ def doubts(session: Session, notes: Mapping[str, Any], time: Any) -> list[str]:
         unit = likely_unit(first * size, step * size)
         remedy = f'if its times are in {unit}, a recipe says so: [time] unit = "{unit}"'
         words.append(f"samples are {step:g} s apart, from {first:g} s on; {remedy}")
-    for name in ("p_r", "p_h"):
-        if name not in session.columns:
-            continue
+    for name in [name for name in ("p_r", "p_h") if name in session]:
         if np.min(session[name]) < 0.0:
             words.append(
                 f"column {name} has negative values, but performance is never negative; map the "

@@ -114,6 +114,7 @@ from trustlab.models.checks import (
     shown,
     whole_number,
 )
+from trustlab.models.files import path_of
 from trustlab.sessions.errors import RecipeError, alternatives, source_named
 from trustlab.sessions.patterns import FieldPath, PathPattern
 from trustlab.sessions.vocabulary import UNITS, VOCABULARY, to_si
@@ -147,11 +148,11 @@ def parse(rule: Any, table: Any, where: str, allowed: Sequence[str] = (), **more
         raise RecipeError(f"{where} must be a table, got {shown(table)}")
     kinds = get_type_hints(rule)
     known = {SPELT.get(each.name, each.name): each for each in fields(rule) if each.init}
+    keys = allowed or [key for key in known if key not in more]
     values = {}
     try:
         for key, value in table.items():
-            if key not in known or key in more or (allowed and key not in allowed):
-                keys = allowed or [name for name in known if name not in more]
+            if key not in keys:
                 raise ValueError(f"unknown key {key!r}{alternatives(key, keys)}")
             name = known[key].name
             values[name] = _checked(kinds[name], key, value)
@@ -337,8 +338,8 @@ def _column_rule(name: str, table: Any) -> ColumnRule:
         raise RecipeError(f"{where}: not in the vocabulary{hint}; {remedy}")
     kinds = [kind for kind in COLUMN_KINDS if isinstance(table, Mapping) and kind in table]
     if len(kinds) != 1:
-        fault = f"needs exactly one of {', '.join(COLUMN_KINDS)}"
-        raise RecipeError(f"{where}: {fault}, got {shown(table)}")
+        known = ", ".join(COLUMN_KINDS)
+        raise RecipeError(f"{where}: needs exactly one of {known}, got {shown(table)}")
     allowed = (kinds[0], *COLUMN_KINDS[kinds[0]])
     return parse(ColumnRule, table, where, allowed, name=name, kind=kinds[0])
 
@@ -353,12 +354,13 @@ class MetadataRule:
     default: Plain | None = None
 
     def __post_init__(self):
-        if bool(self.origin) == (self.value is not None):
-            raise ValueError("needs either from or value")
-        if self.map is None and self.default is not None:
-            raise ValueError("default goes with a map")
-        if self.value is not None and self.map is not None:
-            raise ValueError("value is a constant, which takes no map")
+        constant, mapped = self.value is not None, self.map is not None
+        if (
+            bool(self.origin) == constant
+            or mapped < (self.default is not None)
+            or constant & mapped
+        ):
+            raise ValueError("needs either from or value; from may have a map, and this a default")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -379,20 +381,35 @@ class TableRule:
             )
 
 
-@dataclass(frozen=True, kw_only=True)
-class TableTime:
-    """The column of a table that holds time; `from_zero` counts it from the first sample."""
+# The keys of [time], by the kind of log.
+TIME_KEYS = {
+    "table": ("unit", "column", "from_zero", "repeated", "sort", "jumps"),
+    "bag": ("stamp", "topics", "repeated", "sort"),
+}
 
-    unit: str
+
+@dataclass(frozen=True, kw_only=True)
+class TimeRule:
+    """
+    How rows or messages are timed.
+
+    A table has a column of times, which `from_zero` counts from the first sample; a message is
+    timed by its receipt or by its header's stamp, and `topics` may differ.
+    """
+
+    kind: str
+    unit: str | None = None
     column: str | int = "t"
     from_zero: bool = False
+    stamp: Stamp = "receive"
+    topics: dict[str, Stamp] | None = None
     repeated: Literal["first", "last", "mean"] | None = None
     sort: bool = False
     jumps: Literal["split"] | None = None
 
     def __post_init__(self):
         units = [unit for unit, (base, _) in UNITS.items() if base == "s"]
-        if self.unit not in units:  # as nearly always
+        if self.kind == "table" and self.unit not in units:  # as nearly always
             one_of("unit", self.unit, ("iso", "clock", *units))
         if self.sort and self.jumps:
             raise ValueError("sort orders all rows by time, which leaves no jumps to split at")
@@ -405,19 +422,7 @@ class TableTime:
             return np.where(late, value // 10**9 + value % 10**9 / 1e9, value / 1e9)
         return value if self.unit in ("s", "clock") else value * to_si(self.unit, "s")
 
-
-@dataclass(frozen=True, kw_only=True)
-class BagTime:
-    """Whether messages are timed by receipt or by their header's stamp; `topics` may differ."""
-
-    stamp: Stamp = "receive"
-    topics: dict[str, Stamp] | None = None
-    repeated: Literal["first", "last", "mean"] | None = None
-    sort: bool = False
-    jumps: None = field(init=False, default=None)
-    unit: None = field(init=False, default=None)  # of bags it is known
-
-    def of(self, topic: str) -> str:
+    def stamp_of(self, topic: str) -> str:
         """Return "receive" or "header" for one topic."""
         return (self.topics or {}).get(plain_key(topic), self.stamp)
 
@@ -470,7 +475,7 @@ class Recipe:
     table : TableRule
         How a table is written.
     time : mapping
-        The entries of [time]; kept as a TableTime or a BagTime.
+        The entries of [time]; kept as a TimeRule.
     resampling : Resampling, optional
         How to resample, and to which sample time [s].
     metadata : mapping
@@ -503,8 +508,8 @@ class Recipe:
         if self.kind == "bag" and self.table != TableRule():
             raise ValueError('[table] is for kind = "table"')
         if self.time is None or isinstance(self.time, Mapping):
-            kind = TableTime if self.kind == "table" else BagTime
-            self.time = parse(kind, self.time or {}, "[time]")
+            keys = TIME_KEYS[self.kind]
+            self.time = parse(TimeRule, self.time or {}, "[time]", keys, kind=self.kind)
         if self.performance_window is not None:
             window = not_negative("performance_window", self.performance_window)
             self.metadata = self.metadata | {"performance_window": MetadataRule(value=window)}
@@ -557,14 +562,11 @@ class Recipe:
             try:
                 document = tomllib.loads(text)
             except (ValueError, RecursionError) as error:
-                where = "texts need quotes; help(trustlab.sessions.recipe) has every key"
-                raise RecipeError(f"not a TOML file ({error}); {where}") from error
+                raise RecipeError(
+                    f"not a TOML file ({error}); texts need quotes; help(trustlab.sessions.recipe) "
+                    "has every key"
+                ) from error
             return parse(cls, document, "recipe", source=source)
-
-
-def _shipped() -> dict[str, Path]:
-    folder = Path(__file__).parent / "recipes"
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
 def load_recipe(recipe: str | os.PathLike | Recipe) -> Recipe:
@@ -584,14 +586,14 @@ def load_recipe(recipe: str | os.PathLike | Recipe) -> Recipe:
     """
     if isinstance(recipe, Recipe):
         return recipe
-    if not isinstance(recipe, str | os.PathLike):
-        raise RecipeError(f"a recipe is a name, a path or a Recipe, got {type(recipe).__name__}")
-    shipped = _shipped()
-    path = shipped.get(str(recipe), Path(recipe)) if isinstance(recipe, str) else Path(recipe)
+    path = path_of("recipe", recipe)
+    shipped = {each.stem: each for each in (Path(__file__).parent / "recipes").glob("*.toml")}
+    path = shipped.get(str(recipe), path)
     if not os.path.isfile(path):
-        hint = did_you_mean(path.stem, shipped)
-        fault = f"there is no recipe {str(recipe)!r}, neither as a file nor by name"
-        raise RecipeError(f"{fault}{hint} (known: {', '.join(shipped)})")
+        known = alternatives(path.stem, sorted(shipped))
+        raise RecipeError(
+            f"there is no recipe {str(recipe)!r}, neither as a file nor by name{known}"
+        )
     try:
         text = path.read_bytes().decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:

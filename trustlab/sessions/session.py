@@ -30,6 +30,14 @@ FIELDS = {
 # irregular.
 STEP_TOLERANCE = 0.01
 
+# Times that do not rise, and what to do about them.
+BACKWARDS = (
+    "runs backwards",
+    "if the rows are out of order, a recipe sorts them ([time] sort = true); if the clock was set "
+    'back, it splits the log there ([time] jumps = "split")',
+)
+REPEATS = ("repeats", 'a recipe merges such rows ([time] repeated = "first", "last" or "mean")')
+
 # What to do about a missing column, by the beginning of its name.
 REMEDIES = {
     "p_": "; where the log has performance under another name, its recipe says so; "
@@ -108,14 +116,13 @@ def metadata_to_json(metadata: Metadata, **extra: object) -> str:
     for name, value in [*content.items(), *metadata.more.items()]:
         try:
             again = json.loads(json.dumps({name: value}, default=np.generic.item))
-            same = bool(again == {name: value})
-        except (TypeError, ValueError, RecursionError):  # ValueError also where == gives an array
-            same = False
-        if not same:
+            if again != {name: value}:
+                raise ValueError
+        except (TypeError, ValueError, RecursionError):  # ValueError also where != gives an array
             raise SessionError(
                 f"metadata {name!r} would not read back the same: {shown(value)}; use plain "
                 "numbers, texts, lists or dictionaries with text keys"
-            )
+            ) from None
     return json.dumps(content | {"more": metadata.more} | extra, default=np.generic.item)
 
 
@@ -126,8 +133,9 @@ def metadata_from_json(text: str) -> tuple[Metadata, dict]:
         facts = {name: content.pop(name) for name in FIELDS if name in content}
         return Metadata(**facts, more=content.pop("more", {})), content
     except (AttributeError, TypeError, ValueError, RecursionError) as error:
-        fault = f"the trustlab metadata are damaged ({error})"
-        raise SessionError(f"{fault}; write the file again") from error
+        raise SessionError(
+            f"the trustlab metadata are damaged ({error}); write the file again"
+        ) from error
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -168,6 +176,7 @@ class Session(Result):
     def __post_init__(self):
         example = "for example trustlab.Metadata(participant=3, condition='C1', more={'trial': 2})"
         of_class("metadata", self.metadata, Metadata, example)
+        of_class("data", self.data, pd.DataFrame)
         with source_named(self.metadata.source):
             t, columns = _checked(self.data)
         object.__setattr__(
@@ -238,13 +247,14 @@ class Session(Result):
     def label(self) -> str:
         """Participant (operator where data are synthetic), condition and trial, for captions."""
         meta = self.metadata
-        person = "operator" if meta.synthetic else "participant"
-        parts = [f"{person} {meta.participant}" if meta.participant is not None else ""]
-        named = "" if isinstance(meta.condition, str) else "condition "
-        parts.append(f"{named}{meta.condition}" if meta.condition is not None else "")
-        parts.append(f"trial {meta.more['trial']}" if "trial" in meta.more else "")
-        parts.append("synthetic" if meta.synthetic else "")
-        return ", ".join(part for part in parts if part) or (meta.source or "session")
+        facts = {
+            "operator" if meta.synthetic else "participant": meta.participant,
+            "" if isinstance(meta.condition, str) else "condition": meta.condition,
+            "trial": meta.more.get("trial"),
+        }
+        parts = [f"{name} {value}".strip() for name, value in facts.items() if value is not None]
+        parts += ["synthetic"] * meta.synthetic
+        return ", ".join(parts) or meta.source or "session"
 
     def require(self, *names: str) -> None:
         """
@@ -260,19 +270,16 @@ class Session(Result):
         SessionError
             It names the missing column, the nearest existing one, and all columns of the session.
         """
-        missing = [str(name) for name in names if name != "t" and name not in self.data]
-        if missing:
-            name = self.label if self.label != self.metadata.source else "the session"
-            hint = alternatives(
-                missing[0], self.columns, f"needed: {', '.join(map(str, names))}; it has"
-            )
-            remedy = next(
-                (words for start, words in REMEDIES.items() if missing[0].startswith(start)),
-                "",
-            )
-            raise SessionError(
-                f"{name} has no column {missing[0]!r}{hint}{remedy}", self.metadata.source
-            )
+        for name in map(str, names):
+            if name not in self.keys():
+                source = self.metadata.source
+                title = "the session" if self.label == source else self.label
+                needed = f"needed: {', '.join(map(str, names))}; it has"
+                hint = alternatives(name, self.columns, needed)
+                remedies = [words for start, words in REMEDIES.items() if name.startswith(start)]
+                raise SessionError(
+                    f"{title} has no column {name!r}{hint}{''.join(remedies)}", source
+                )
 
     def with_columns(self, **columns: np.ndarray) -> Session:
         """
@@ -291,12 +298,15 @@ class Session(Result):
         SessionError
             If a column has another number of samples than the session, or does not fit it.
         """
-        for name, values in columns.items():
-            if np.ndim(values) > 1 or (np.ndim(values) == 1 and len(values) != len(self)):
-                fault = f"is of shape {np.shape(values)}, but the session has {len(self)} samples"
-                raise SessionError(f"column {name!r} {fault}", self.metadata.source)
         # By place: a Series with an index of its own would be ordered by that.
-        arrays = {name: np.asarray(x) if np.ndim(x) else x for name, x in columns.items()}
+        arrays = {name: np.asarray(values) for name, values in columns.items()}
+        for name, values in arrays.items():
+            if values.shape not in ((), (len(self),)):
+                raise SessionError(
+                    f"column {name!r} is of shape {values.shape}, but the session has {len(self)} "
+                    "samples",
+                    self.metadata.source,
+                )
         return Session(self.data.assign(**arrays), self.metadata)
 
     def with_metadata(self, **changes: Any) -> Session:
@@ -326,15 +336,19 @@ class Session(Result):
             If start is not before stop, or fewer than two samples lie between.
         """
         if not (isinstance(start, Real) and isinstance(stop, Real) and start < stop):
-            times = f"{shown(start)} and {shown(stop)}"
-            raise SessionError(f"start and stop must be times [s], start first, got {times}")
+            raise SessionError(
+                f"start and stop must be times [s], start first, got {shown(start)} and "
+                f"{shown(stop)}"
+            )
         first, last = self.t[[0, -1]].tolist()
         slack = 1e-6 * self.sample_time  # rounding of times that were computed
         part = self.data.loc[max(start, first) - slack : min(stop, last) + slack]
         if len(part) < 2:
-            fault = f"no two samples lie between {start} s and {stop} s"
-            extent = f"the session runs from {self.t[0]:g} s to {self.t[-1]:g} s"
-            raise SessionError(f"{fault}; {extent}", self.metadata.source)
+            raise SessionError(
+                f"no two samples lie between {start} s and {stop} s; the session runs from "
+                f"{first:g} s to {last:g} s",
+                self.metadata.source,
+            )
         cut = Session(part, self.metadata)
         # A window mean needs what lies before it: fits must know that these do not begin where the
         # averaging did.
@@ -396,10 +410,11 @@ class Session(Result):
     @property
     def message(self) -> str:
         """Whose session it is, how it was sampled, and what it holds."""
-        more = f"; metadata.more: {', '.join(map(str, self.metadata.more))}"
-        samples = f"{len(self)} samples at {self.sample_time:g} s"
-        columns = f"columns {', '.join(self.columns)}"
-        return f"{self.label}; {samples}; {columns}{more if self.metadata.more else ''}"
+        more = ", ".join(map(str, self.metadata.more))
+        return (
+            f"{self.label}; {len(self)} samples at {self.sample_time:g} s; columns "
+            f"{', '.join(self.columns)}{'; metadata.more: ' * bool(more)}{more}"
+        )
 
     def _repr_html_(self) -> str:
         # Thousands of rows say less than their summary.
@@ -420,12 +435,13 @@ def keep_table(data: pd.DataFrame, metadata: Metadata, place: Place = ROW) -> Se
 
 def _checked(data: pd.DataFrame, place: Place = ROW) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the times and the columns of a session's table, every value checked."""
-    of_class("data", data, pd.DataFrame)
     if data.index.name != "t" and "t" in data.columns:
         data = data.set_index("t")
     if isinstance(data.index, pd.RangeIndex) and data.index.name != "t":
-        remedy = "name the column of times [s] 't', or set it as the index: frame.set_index(\"t\")"
-        raise SessionError(f"the rows are numbered, not timed; {remedy}")
+        raise SessionError(
+            "the rows are numbered, not timed; name the column of times [s] 't', or set it as the "
+            'index: frame.set_index("t")'
+        )
     if data.index.dtype.kind not in "fiu":
         raise SessionError(f"the index must be time in seconds, found {data.index.dtype}")
     t = data.index.to_numpy(dtype=float)
@@ -447,14 +463,7 @@ def check_rising(t: np.ndarray, place: Place = ROW) -> np.ndarray:
         steps = np.diff(t)
     if not (steps > 0.0).all():
         k = int(np.argmax(steps <= 0.0)) + 1
-        fault = "runs backwards"
-        remedy = (
-            "if the rows are out of order, a recipe sorts them ([time] sort = true); if the clock "
-            'was set back, it splits the log there ([time] jumps = "split")'
-        )
-        if steps[k - 1] == 0.0:
-            fault = "repeats"
-            remedy = 'a recipe merges such rows ([time] repeated = "first", "last" or "mean")'
+        fault, remedy = BACKWARDS if steps[k - 1] < 0.0 else REPEATS
         raise SessionError(
             f"{place(k)}, column t: time {fault} ({t[k - 1]} s, then {t[k]} s); {remedy}"
         )
@@ -498,18 +507,17 @@ def check_column(name: str, values: np.ndarray, t: np.ndarray, place: Place = RO
     if np.isfinite([least, most]).all() and low <= least and most <= high:
         return values
     bad = ~np.isfinite(values)
-    rule = 'let a rule of a recipe fill it (blank = "hold" or "linear")'
-    why = f"is missing or not finite; fill it, cut it out, or {rule}"
+    why = (
+        "is missing or not finite; fill it, cut it out, or let a rule of a recipe fill it "
+        '(blank = "hold" or "linear")'
+    )
     if not bad.any():
         bad = (values < low) | (values > high)
         why = (
             f"lies outside [{low:g}, {high:g}] ({column.meaning}); correct it, or let a recipe "
             "scale it or divide it in two (scale, above)"
         )
-        if column.unit == "m" and low == 0.0:
-            why += (
-                "; a signed deviation becomes a distance with absolute = true in the recipe's "
-                "column"
-            )
+        if column.unit == "m":
+            why += "; a signed deviation becomes a distance with absolute = true in its column"
     k = int(np.argmax(bad))
     raise SessionError(f"{place(k)}, column {name!r}, t = {t[k]:.6g} s: {values[k]} {why}")

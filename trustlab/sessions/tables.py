@@ -42,59 +42,58 @@ def suffix_of(path: Path) -> str:
     return "".join(path.suffixes[-2 if path.suffix.lower() == ".gz" else -1 :]).lower()
 
 
-def positions(chosen: Chosen, names: Sequence[str], header: bool = True) -> dict[str, int]:
-    """Return where the chosen columns stand in a file; without a header they have numbers."""
+def positions(chosen: Chosen, titles: Sequence[str]) -> dict[str, int]:
+    """Return where the chosen columns stand in a file, by the session's name of each."""
     if chosen is None:
-        for name in names:
+        for name in titles:
             if NUMBER.fullmatch(name):
-                remedy = (
-                    "add a line of names, or a recipe with the lines [table] and header = false"
+                raise SessionError(
+                    "found numbers instead of column names; add a line of names, or a recipe with "
+                    "the lines [table] and header = false"
                 )
-                raise SessionError(f"found numbers instead of column names; {remedy}")
             if name != "t":
                 known_column(name)
-        chosen = {name: name for name in ("t", *names)}
-    titles: list[Any] = [*names] if header else [*range(len(names))]
+        chosen = {name: name for name in ("t", *titles)}
     places = {}
     for name, column in chosen.items():
-        column = str(column) if header else column  # streams of XDF come with numbers for names
-        if titles.count(column) != 1:
+        title = str(column)  # columns without names have numbers, as in streams of XDF
+        if titles.count(title) != 1:
             fault = "occurs twice; rename or remove one"
-            if column not in titles:
-                hint = "; time needs the name t" if column == "t" else ""
-                fault = f"is missing{hint}{alternatives(column, titles, 'there are')}"
-            use = "" if column == name else f" (for {name})"
+            if title not in titles:
+                hint = "; time needs the name t" if title == "t" else ""
+                fault = f"is missing{hint}{alternatives(title, titles, 'there are')}"
+            use = "" if title == name else f" (for {name})"
             raise SessionError(f"column {column!r}{use} {fault}")
-        places[name] = titles.index(column)
+        places[name] = titles.index(title)
     return places
 
 
-def read_parquet(path: Path, chosen: Chosen, layout: TableRule) -> Table:
+def read_parquet(path: Path, chosen: Chosen) -> Table:
     """Return the table in a Parquet file."""
     import pyarrow.parquet as pq
 
     with damage_named("not a table of this format, or a damaged one", "copy or write it again"):
         schema = pq.read_schema(path)
-        places = positions(chosen, schema.names, layout.header)
+        places = positions(chosen, schema.names)
         content = pq.read_table(path, columns=[*{schema.names[k]: k for k in places.values()}])
         content.validate(full=True)
         frame = content.to_pandas(ignore_metadata=True)
     frame = pd.DataFrame({name: frame[schema.names[k]] for name, k in places.items()}, copy=False)
     text = (schema.metadata or {}).get(b"trustlab")
     metadata = metadata_from_json(text.decode("utf-8", "replace"))[0] if text else Metadata()
-    return Table(frame, "row {} (from 0)".format, metadata, decimal=layout.decimal)
+    return Table(frame, "row {} (from 0)".format, metadata)
 
 
-def frame_table(frame: pd.DataFrame, chosen: Chosen, layout: TableRule) -> Table:
+def frame_table(frame: pd.DataFrame, chosen: Chosen) -> Table:
     """Return the table in a data frame; an index with a name is a column as well."""
     index = frame.index.name
     if index is not None and index in frame:
         raise SessionError(f"{index!r} is both index and column; frame.reset_index(drop=True)")
     frame = frame.reset_index(drop=index is None)
-    places = positions(chosen, [str(name) for name in frame.columns], layout.header)
+    places = positions(chosen, [str(name) for name in frame.columns])
     columns = {name: frame.iloc[:, place].copy() for name, place in places.items()}
     frame = pd.DataFrame(columns, copy=False)
-    return Table(frame, "row {} (from 0)".format, decimal=layout.decimal)
+    return Table(frame, "row {} (from 0)".format)
 
 
 def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[str]) -> Table:
@@ -110,18 +109,18 @@ def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[st
             spaced = re.sub(rb" {2,}", b" ", file.read())
         source = re.sub(rb"(?m)^ +| +(?=\r?$)", b"", spaced)
     with _opened(source) as file:
-        head = file.read(HEAD).removeprefix(BOM_UTF8)
+        head = io.BytesIO(file.read(HEAD).removeprefix(BOM_UTF8))
         file.seek(max(0, file.size() - HEAD))
         end = file.read()
-    text = io.TextIOWrapper(io.BytesIO(head), layout.encoding, "surrogateescape", newline="")
-    lines = [*text] or [""]
+    lines = [*io.TextIOWrapper(head, layout.encoding, "surrogateescape", newline="")] or [""]
     before, metadata = layout.skip_lines, Metadata()
     if lines[0].startswith(COMMENT) and not before:
         before, metadata = 1, metadata_from_json(lines[0][len(COMMENT) :])[0]
     try:
         rows = csv.reader(lines[before:], delimiter=layout.delimiter)
         names = [name.strip() for name in next(rows, [])]
-        places = positions(chosen, names, layout.header)
+        titles = names if layout.header else [*map(str, range(len(names)))]
+        places = positions(chosen, titles)
     except (SessionError, csv.Error) as error:
         refuse_encoding(source, layout.encoding)
         fault = f"a quotation mark that opens here does not close ({error})"
@@ -135,7 +134,7 @@ def read_csv(path: Path, chosen: Chosen, layout: TableRule, texts: Collection[st
     cut = "has no end; the file may have been cut short in it"
     notes: dict[str, object] = {} if ends else {"last line": cut}
     place = lambda row: f"line {before + 1 + row}"  # noqa: E731
-    return Table(frame.iloc[: len(frame) - empty], place, metadata, notes, layout.decimal)
+    return Table(frame.iloc[: len(frame) - empty], place, metadata, notes)
 
 
 def _opened(source: bytes | Path) -> Any:
