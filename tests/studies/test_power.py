@@ -3,8 +3,6 @@ Power. Oracles: the noncentral F of SciPy, a plain loop of tl.repeated_measures 
 sums of squares by hand, theorems.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -152,10 +150,9 @@ def test_a_pilot_study_is_the_population():
 PILOT = drawn(30, mode=["C1", "C2", "C3"]).assign(score=lambda f: 2.0 + 0.3 * f["score"])
 
 
-def planned(*population, level=0.95, **more):
+def planned(*population, **more):
     columns = StudyColumns(**COLUMNS) if "data" in more else StudyColumns()
-    simulation = replace(SMALL, level=level)
-    return tl.smallest_n(0.8, *population, **more, columns=columns, simulation=simulation)
+    return tl.smallest_n(0.8, *population, **more, columns=columns, simulation=SMALL)
 
 
 def test_means_beside_data_take_the_spread_of_the_pilot():
@@ -175,16 +172,16 @@ def test_people_whose_scores_do_not_depend_on_each_other_are_a_population():
 
 
 def test_the_search_ends_at_most():
-    with refused(r"power: 100 subjects reach .* Raise most="):
-        planned([0.0, 0.05, 0.1], graded_covariance(3), most=100)
+    with refused(r"power: 2000 subjects reach .* Measure each condition more often"):
+        planned([0.0, 0.005, 0.01], graded_covariance(3))
 
 
 def test_a_plan_says_what_it_assumes():
     pilot = PILOT.assign(synthetic=True)
     with pytest.warns(UserWarning, match="covariance is that of synthetic data"):
-        plan = planned({"C1": 2.0, "C3": 2.1}, data=pilot, level=0.8)
+        plan = planned({"C1": 2.0, "C3": 2.1}, data=pilot)
     start, seed = f"A sample of {plan.n} participants", "100 simulated studies (seed 3)"
-    for words in (start, seed, "80% CI [", "C1 2 (", "that of synthetic data"):
+    for words in (start, seed, "95% CI [", "C1 2 (", "that of synthetic data"):
         assert words in plan.apa()
 
 
@@ -227,7 +224,7 @@ TURNED = TWO_WAY.rename_axis(index=["difficulty", "autonomy"])
         ({"covariance": np.ones((3, 3))}, "positive definite; its least eigenvalue"),
         (
             {"mean": [1, 2], "covariance": pd.DataFrame(np.eye(2), [1, 2], [*"XY"])},
-            r"covariance has the columns \['X', 'Y'\]",
+            r"mean names \[1, 2\], but the covariance is that of \[\]",
         ),
         ({"claims": [(1, 2), (2, 1)]}, r"claims: .* different pairs \(a, b\) of \[1, 2, 3\]"),
         ({"claims": [(1, 2)], "mean": [1, 1, 2]}, r"claims: \[\(1, 2\)\] is no .* means differ"),
@@ -239,9 +236,9 @@ TURNED = TWO_WAY.rename_axis(index=["difficulty", "autonomy"])
         ({"columns": StudyColumns(order=[3, 2, 1])}, "dv, subject and order are of data="),
         ({"columns": StudyColumns(subject="pid")}, "dv, subject and order are of data="),
         ({"columns": StudyColumns(within=[], between="group")}, "within must name a factor"),
-        ({"mean": TWO_WAY.iloc[:-1], "columns": FACTORS}, r"no number for cell \('high', 'hard'\)"),
-        ({"mean": TWO_WAY.iloc[[0, 0]], "columns": FACTORS}, r"\('low', 'easy'\) occurs twice"),
-        ({"mean": SHUFFLED, "columns": FACTORS}, "list the cells of mean with the last"),
+        ({"mean": TWO_WAY.iloc[:-1], "columns": FACTORS}, r"each .* \('high', 'hard'\)\], got "),
+        ({"mean": TWO_WAY.iloc[[0, 0]], "columns": FACTORS}, "mean must have each cell of .* once"),
+        ({"mean": SHUFFLED, "columns": FACTORS}, "with the last factor varying fastest: "),
         ({"mean": TURNED, "columns": FACTORS}, "must be indexed by autonomy, difficulty, in this"),
     ],
 )
@@ -283,6 +280,18 @@ def test_the_only_effect_has_the_name_of_its_factor_and_whole_numbers_may_be_flo
     found = tl.power_analysis([0.0, 1.0], **given, n=9).table()
     assert {*found["effect"]} == {"dose"}
     assert tl.smallest_n(0.8, [0.0, 1.0], **given).power >= 0.8
+
+
+@parametrize("name", ["pairs", "claims"])
+def test_the_power_of_f_does_not_depend_on_what_its_factor_is_called(name):
+    """Under these names rejections of F and of claimed pairs were added."""
+    of = {"n": 8, "claims": [(1, 3)], "simulation": SMALL}
+    found, usual = (
+        tl.power_analysis([0.0, 0.2, 0.5], np.eye(3), columns=StudyColumns(within=within), **of)
+        for within in (name, "condition")
+    )
+    assert_frame_equal(found.table().assign(effect="condition"), usual.table())
+    assert_frame_equal(found.claims(), usual.claims())
 
 
 def test_an_epsilon_that_leaves_no_variance_is_named():
