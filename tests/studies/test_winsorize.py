@@ -36,8 +36,10 @@ def test_rules_by_hand(rule, limits, changed):
     expected = [*limits, len(changed)]
     assert found.limits.loc[0, ["low", "high", "changed"]].tolist() == approx(expected)
     assert dict(found.changes[["subject", "new"]].to_numpy()) == approx(changed)
-    assert found.apa().startswith("[synthetic data] 1 of 10 values was winsorized (a, subject")
-    assert "None of 3 values" in of_values([1, 2, 3], **rule).apa()
+    assert found.apa().startswith(
+        "[synthetic data] Values winsorized: 1 of 10 (a, subject 9). Rule"
+    )
+    assert "0 of 3. Rule" in of_values([1, 2, 3], **rule).apa()
 
 
 @given(

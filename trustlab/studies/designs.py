@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import flag, of_class, spawned, warn, whole_number, whole_seed
+from trustlab.models.checks import flag, spawned, warn, whole_number, whole_seed
 from trustlab.models.display import Result
 from trustlab.studies.table import labels_of, roles_of
 
@@ -104,12 +104,7 @@ class DesignBalance(Result):
         return pd.concat(counts, axis=1).rename_axis(index="condition")
 
 
-def design_balance(
-    orders: pd.DataFrame,
-    participant: str = "participant",
-    position: str = "position",
-    condition: str = "condition",
-) -> DesignBalance:
+def design_balance(orders: pd.DataFrame) -> DesignBalance:
     """
     Count positions and first-order carry-over in any set of orders, such as those of the remaining
     participants.
@@ -117,9 +112,8 @@ def design_balance(
     Parameters
     ----------
     orders : pandas.DataFrame
-        A row per participant and position.
-    participant, position, condition : str
-        Its columns; positions count from 1.
+        A row per participant and position, in columns participant, position and condition;
+        positions count from 1.
 
     Raises
     ------
@@ -134,19 +128,19 @@ def design_balance(
     >>> tl.design_balance(orders).balanced
     True
     """
-    of_class("orders", orders, pd.DataFrame)
-    roles_of(orders, participant=[participant], position=[position], condition=[condition])
-    labels = labels_of("condition", orders[condition].drop_duplicates(), 2)
-    rows = orders.reset_index(drop=True).sort_values(position)
-    lists = rows.groupby(participant, sort=False)[[position, condition]].agg(list)
+    roles_of("orders", orders, orders=["participant", "position", "condition"])
+    labels = labels_of("condition", orders["condition"].drop_duplicates(), 2)
+    rows = orders.reset_index(drop=True).sort_values("position")
+    people = rows.groupby("participant", sort=False)
+    lists = people[["position", "condition"]].agg(list)
     for label, places, names in lists.itertuples():
         if {*names} != {*labels} or places != [*range(1, len(labels) + 1)]:
             raise ValueError(
                 f"participant {label!r} had {names} at {places}; each of {[*labels]} is needed "
                 "once, at positions 1, 2 …"
             )
-    after, before = rows[condition], rows.groupby(participant)[condition].shift()
-    places = pd.crosstab(after, rows[position])
+    after, before = rows["condition"], people["condition"].shift()
+    places = pd.crosstab(after, rows["position"])
     follows = pd.crosstab(before, after).reindex(index=places.index, columns=places.index)
     # Nothing follows itself.
     follows = follows.fillna(0).where(~np.eye(len(places), dtype=bool))

@@ -166,7 +166,7 @@ class OrdinalModel(FormulaModel):
 
     See Also
     --------
-    FormulaModel : Its table, coefficients_table, random_effects and sentence.
+    FormulaModel : Its table, coefficients_table, variances and sentence.
     """
 
     dv: Hashable
@@ -312,7 +312,7 @@ def ordinal_model(
         raise ValueError(f"subject: column {subject!r} has {n} people; at least 3 needed")
     answers, categories = _categories(label_column(table, "dv", dv))
     factors, covariates = groups | inside, names_of(covariates)
-    roles_of(table, dv=[dv], factors=[*factors], subject=[subject], covariates=covariates)
+    roles_of("frame", table, dv=[dv], factors=[*factors], subject=[subject], covariates=covariates)
     for name in covariates:
         numbers_of(table[name], "covariates")
     if {"0", "1"} & {*map(str, (dv, *factors, *covariates))}:

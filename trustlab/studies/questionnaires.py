@@ -91,7 +91,7 @@ class Questionnaire:
         of_class("source", self.source, str)
         of_class("subscales", self.subscales, dict)
         items = labels_of("items", self.items, 1)
-        for name, part in {"reversed": self.reversed, **self.subscales}.items():
+        for name, part in [("reversed", self.reversed), *self.subscales.items()]:
             if unknown := {*labels_of(name, part, name in self.subscales)} - {*items}:
                 raise ValueError(f"{name}: {unknown.pop()!r} is none of the items {items}")
         low, high = in_order("low", self.low, "high", self.high)
@@ -131,7 +131,6 @@ TRUST_CHECKLIST = Questionnaire(
 def satisfaction_scale(
     points: int = 5,
     items: Sequence[str] | int = ("satisfaction", "comfort", "control"),
-    reversed: Sequence[str] = (),
 ) -> Questionnaire:
     """
     Return the satisfaction questionnaire of the small studies, or of the large ones.
@@ -148,9 +147,8 @@ def satisfaction_scale(
         Answers run from 1 to this, at least 2.
     items : sequence of str or int
         Short names of the items; or how many items of [65], which are then called satisfaction_1,
-        satisfaction_2 ….
-    reversed : sequence of str
-        Items for which a high answer means little satisfaction.
+        satisfaction_2 …; give items worded in the opposite direction by
+        ``dataclasses.replace(…, reversed=[…])``.
 
     Returns
     -------
@@ -159,7 +157,7 @@ def satisfaction_scale(
     Raises
     ------
     ValueError
-        If `points` is no whole number of at least 2, or a reversed item is not among the items.
+        If `points` is no whole number of at least 2, or items repeat.
 
     Examples
     --------
@@ -173,7 +171,7 @@ def satisfaction_scale(
     else:
         source = "satisfaction, the questionnaire of [65] (Sections 2.4.2.4 and 3.9.3)"
         items = [f"satisfaction_{k + 1}" for k in range(whole_number("items", items, most=100))]
-    return Questionnaire("satisfaction", items, 1, points, reversed, source=source)
+    return Questionnaire("satisfaction", items, 1, points, source=source)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -344,10 +342,9 @@ def _read(
     argument: str, frame: pd.DataFrame, items: Sequence[str], subject: str, condition: str | None
 ) -> pd.DataFrame:
     """Return a column of numbers per item; subject and condition are the index."""
-    of_class(argument, frame, pd.DataFrame)
     named = [] if condition is None else [condition]
-    roles_of(frame, subject=[subject], condition=named, **{argument: [*items]})
-    index = pd.MultiIndex.from_arrays([frame[name] for name in (subject, *named)])
+    roles_of(argument, frame, subject=[subject], condition=named, **{argument: [*items]})
+    index = pd.MultiIndex.from_frame(frame[[subject, *named]])
     if index.has_duplicates:
         raise ValueError(
             f"{argument} must have one row per subject, or per subject and condition= if there are "
@@ -357,49 +354,40 @@ def _read(
     return pd.DataFrame(numbers).set_axis(index)
 
 
-def tlx_weights(
-    choices: pd.DataFrame,
-    *,
-    subject: str = "subject",
-    first: str = "first",
-    second: str = "second",
-    chosen: str = "chosen",
-) -> pd.DataFrame:
+def tlx_weights(choices: pd.DataFrame) -> pd.DataFrame:
     """
     Count weights of the task load index from the fifteen pairwise choices.
 
     Parameters
     ----------
     choices : pandas.DataFrame
-        A row per subject and pair of scales.
-    subject, first, second, chosen : str
-        Columns: who, the two scales compared, and the one that contributed more to the workload;
-        scales are named as in NASA_TLX.items.
+        A row per subject and pair of scales, in columns subject; first and second, the scales
+        compared; and chosen, the one that contributed more to the workload. Scales are named as in
+        NASA_TLX.items.
 
     Returns
     -------
     pandas.DataFrame
-        A row per subject: the subject column, then a whole number from 0 to 5 per scale, 15 in sum.
+        A row per subject: subject, then a whole number from 0 to 5 per scale, 15 in sum.
 
     Raises
     ------
     ValueError
         Naming the subject whose choices are not one for each pair, or lie outside the pair.
     """
-    of_class("choices", choices, pd.DataFrame)
-    roles_of(choices, subject=[subject], first=[first], second=[second], chosen=[chosen])
+    roles_of("choices", choices, choices=["subject", "first", "second", "chosen"])
     items, rows = NASA_TLX.items, []
-    for label, part in choices.groupby(choices[subject], sort=False):
-        triples = part[[first, second, chosen]].itertuples(index=False)
+    for label, part in choices.groupby(choices["subject"], sort=False):
+        triples = part[["first", "second", "chosen"]].itertuples(index=False)
         picks = Counter(frozenset(pair) for *pair, pick in triples if pick in pair)
         wrong = [pair for pair in combinations(items, 2) if picks[frozenset(pair)] != 1]
         if wrong or len(part) > 15:
             raise ValueError(
-                f"chosen: subject {label!r} must have one row for each pair of {items}, with one "
+                f"choices: subject {label!r} must have one row for each pair of {items}, with one "
                 f"of the two; it has {len(part)} rows, and not one for {wrong}"
             )
-        wins = part[chosen].value_counts().reindex(items, fill_value=0)
-        rows.append({subject: label, **wins})
+        wins = part["chosen"].value_counts().reindex(items, fill_value=0)
+        rows.append({"subject": label, **wins})
     return pd.DataFrame(rows)
 
 
@@ -463,12 +451,9 @@ def cronbach_alpha(items: pd.DataFrame) -> Reliability:
     0.946
     """
     of_class("items", items, pd.DataFrame, "a table of pandas with a column per item")
-    origin, items = (
-        origin_of(items),
-        pd.DataFrame(
-            {item: numbers_of(label_column(items, "items", item), "items") for item in items}
-        ),
-    )
+    origin = origin_of(items)
+    answers = {item: numbers_of(label_column(items, "items", item), "items") for item in items}
+    items = pd.DataFrame(answers)
     row = _alpha(items)
     if np.isnan(row["alpha"]):
         raise ValueError(

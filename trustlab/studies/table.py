@@ -191,11 +191,12 @@ def names_of(names: Columns) -> list[Hashable]:
     return [] if names is None else [names]
 
 
-def roles_of(frame: pd.DataFrame, **columns: list) -> dict[Hashable, str]:
+def roles_of(table: str, frame: pd.DataFrame, **columns: list) -> dict[Hashable, str]:
     """
-    Return the argument that names each column; a column with two is refused, and so is one that
-    lacks a label (of dv it is a score that is missing).
+    Return the argument that names each column of a table, itself called by its argument; a column
+    with two is refused, and so is one that lacks a label (of dv it is a score that is missing).
     """
+    of_class(table, frame, pd.DataFrame, "a table of pandas with a row per subject and condition")
     roles: dict[Hashable, str] = {}
     for argument, names in columns.items():
         for name in names:
@@ -220,13 +221,12 @@ def read_factors(
     within and between subjects. `order` has the levels of a single factor (that within), or of
     several by name.
     """
-    of_class("frame", frame, pd.DataFrame, "a table of pandas with a row per subject and condition")
     within, between, covariates = map(names_of, (within, between, covariates))
     factors = within + between
     if not factors:
         raise ValueError("within and between name no factor")
     columns = {"dv": [dv], "within": within, "between": between, "covariates": covariates}
-    arguments = roles_of(frame, **columns, subject=[subject])
+    arguments = roles_of("frame", frame, **columns, subject=[subject])
     if order is not None and not isinstance(order, dict):
         single = len(within or between) == 1
         order = {factors[0]: order} if single else of_class("order", order, dict)

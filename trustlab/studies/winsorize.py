@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from trustlab.models.checks import of_class, one_of, positive
+from trustlab.models.checks import one_of, positive
 from trustlab.models.display import Result
 from trustlab.studies.table import (
     labelled,
@@ -71,16 +71,11 @@ class Winsorized(Result):
         """
         Return the sentence for a paper: how many values were changed, of whom, and by which rule.
         """
-        total, origin = int(self.limits["n"].sum()), mark(self.changes.attrs.get("origin", ""))
-        if self.changes.empty:
-            return f"{origin}None of {total} values was winsorized (rule: {self.rule})."
-        parts = []
-        for condition, rows in self.changes.groupby("condition", sort=False):
-            parts.append(f"{condition}, subject {', '.join(map(str, rows['subject']))}")
-        verb = "was" if len(self.changes) == 1 else "were"
+        changes = [f"{row.condition}, subject {row.subject}" for row in self.changes.itertuples()]
+        where = f" ({'; '.join(changes)})" if changes else ""
         return (
-            f"{origin}{len(self.changes)} of {total} values {verb} winsorized "
-            f"({'; '.join(parts)}). Rule: {self.rule}."
+            f"{mark(self.changes.attrs.get('origin', ''))}Values winsorized: {len(changes)} of "
+            f"{self.limits['n'].sum()}{where}. Rule: {self.rule}."
         )
 
 
@@ -141,8 +136,7 @@ def winsorize(
     words, middle_and_spread = _RULES[one_of("outside", outside, _RULES)]
     one_of("to", to, _TARGETS)
     k = positive("k", k)
-    of_class("data", data, pd.DataFrame, "a table of pandas with a row per subject and condition")
-    roles_of(data, dv=[dv], within=[within], subject=[subject])
+    roles_of("data", data, dv=[dv], within=[within], subject=[subject])
     people, scores, conditions = data[subject], numbers_of(data[dv], "dv"), data[within]
     one_row_a_cell(data, [subject, within], dv)
     changes, limits = [], []
