@@ -4,7 +4,7 @@ like a lab's.
 """
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,9 +18,7 @@ from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import (
     counted,
     list_of,
-    of_class,
     one_of,
-    shown,
     warn,
     whole_number,
     whole_seed,
@@ -143,9 +141,8 @@ class VirtualStudy(Result):
             variance.
         """
         one_of("dv", dv, self.names)
-        if isinstance(conditions, str) or not isinstance(conditions, Iterable | None):
-            raise ValueError(f"conditions must be a list of names, got {shown(conditions)}")
-        compared = list(self.conditions if conditions is None else conditions)
+        given = self.conditions if conditions is None else conditions
+        compared = list_of("conditions", given)
         rows = self.measures.query("condition in @compared")
         scored = rows.loc[rows[dv].notna(), "condition"].unique()
         if lacking := [name for name in compared if name not in scored]:
@@ -229,7 +226,6 @@ def virtual_study(
     conditions: Sequence[Any] | None = None,
     seed: int = 0,
     *,
-    design: LatinSquareDesign | None = None,
     testbed: str | Testbed = "ground_robot",
     assumptions: Mapping[str, float] | None = None,
     laps: int | None = None,
@@ -259,9 +255,6 @@ def virtual_study(
     seed : int
         Of the design, of the people and of all runs. With the same seed, the people of a smaller
         study are the first of a larger one.
-    design : LatinSquareDesign, optional
-        Orders that are drawn already, of participants numbered from 1, in the place of `n` and
-        `conditions`.
     testbed : {"ground_robot", "uav_following", "uav_tracking", "robot_team"} or Testbed, optional
         Where conditions are run: on the testbed of Section 2.4.1, of Section 2.4.2, of Chapter 3
         (for its schemes), or of Chapter 4 (for its policies). A `GroundRobot`,
@@ -307,18 +300,10 @@ def virtual_study(
     (13, 3)
     """
     seed = whole_seed(seed)
-    if design is not None:
-        if n is not None or conditions is not None:
-            raise ValueError("n and conditions have no effect beside a design; leave them out")
-        plan = of_class("design", design, LatinSquareDesign).table()
-        n, conditions = len(plan), sorted(plan.iloc[0])
-        if [*plan.index] != [*range(1, n + 1)]:
-            raise ValueError("design: make it with the number of participants, without names")
     bed, names = _fitting(testbed, conditions, laps)
     usual = participants_needed(len(labels_of("conditions", names, 2)), bed.printed_n)
     n = whole_number("n", usual if n is None else n, least=max(3, len(names)), most=1_000_000)
-    if design is None:
-        design = latin_square_design(names, n, seed=seed, whole_squares=False)
+    design = latin_square_design(names, n, seed=seed, whole_squares=False)
     people = bed.people(n, assumptions, seed)
     if [*people.get("participant", ())] != [*range(1, n + 1)]:
         raise ValueError(
@@ -350,9 +335,7 @@ def virtual_study(
     failed = done["failed"].to_numpy(dtype=bool)
     if failed.all():
         raise ValueError(f"every participant's run failed; the first: {done['error'].iloc[0]}")
-    settings = {"seed": seed} | bed.settings
-    if assumptions:
-        settings["assumptions"] = dict(assumptions)
+    assumed = {"assumptions": dict(assumptions)} if assumptions else {}
     study = VirtualStudy(
         testbed=bed,
         conditions=names,
@@ -360,7 +343,7 @@ def virtual_study(
         participants=people,
         measures=_tidy(done[~failed], design, names),
         failures=done.loc[failed, ["participant", "error"]].reset_index(drop=True),
-        settings=settings,
+        settings={"seed": seed, **bed.settings} | assumed,
         folder=folder,
     )
     if isinstance(bed, ConditionTestbed):
@@ -375,12 +358,10 @@ def virtual_study(
 def _fitting(testbed: Any, conditions: Any, laps: int | None) -> tuple[Any, tuple[str, ...]]:
     """Return the testbed with rules of the user's own, and the conditions that it runs."""
     bed = named_testbed(testbed, laps)
-    conditions = bed.printed_conditions if conditions is None else conditions
-    if not isinstance(conditions, list | tuple):
-        raise ValueError(f"conditions must be a list of names, got {shown(conditions)}")
+    given = bed.printed_conditions if conditions is None else conditions
     rules: dict[str, Callable] = {}
     names = []
-    for condition in conditions:
+    for condition in list_of("conditions", given):
         if hasattr(condition, "leader"):  # a policy has its name with it
             condition = (condition.title, partial(copy, condition))
         if isinstance(condition, tuple):
