@@ -61,6 +61,16 @@ def test_order_is_kept_inner_values_are_not_touched(values, outside, to):
     np.testing.assert_array_equal(found.changes[["subject", "old", "new"]], changed)
 
 
+def test_conditions_may_be_pairs():
+    """An error of pandas came."""
+    frame = drawn()
+    pairs = frame.assign(mode=[(mode, 1) for mode in frame["mode"]])
+    rule = {"outside": "sd", "k": 1.0, "to": "next"}
+    found, same = (winsorize(each, **COLUMNS, **rule) for each in (pairs, frame))
+    assert found.data["score"].equals(same.data["score"])
+    assert found.changes["condition"].tolist() == [(mode, 1) for mode in same.changes["condition"]]
+
+
 def test_two_rows_of_a_cell_and_two_roles_of_a_column_are_refused():
     """They counted twice, and moved the limits."""
     frame = drawn().assign(mode="a")

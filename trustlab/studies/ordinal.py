@@ -33,6 +33,7 @@ from trustlab.studies.table import (
     numbers_of,
     origin_of,
     read_factors,
+    refuse_shared,
     roles_of,
 )
 from trustlab.studies.words import apa_number, apa_p, interval
@@ -155,8 +156,6 @@ class OrdinalModel(FormulaModel):
 
     Parameters
     ----------
-    dv : hashable
-        Column of the ratings.
     categories : tuple
         Values of the ratings, ascending.
     covariance : numpy.ndarray
@@ -169,7 +168,6 @@ class OrdinalModel(FormulaModel):
     FormulaModel : Its table, coefficients_table, variances and sentence.
     """
 
-    dv: Hashable
     categories: tuple
     covariance: np.ndarray
     cells: pd.DataFrame
@@ -195,6 +193,7 @@ class OrdinalModel(FormulaModel):
         """
         from statsmodels.tools.numdiff import approx_fprime
 
+        refuse_shared(self.cells.index.names, ["category", "probability", "ci_low", "ci_high"])
         point = self.coefficients["estimate"].to_numpy()
         sd = np.sqrt(self.variances["Intercept"])
 
@@ -353,7 +352,6 @@ def ordinal_model(
         variances=pd.Series({"Intercept": point[-1] ** 2}),
         log_likelihood=log_likelihood(every),
         singular=bool(point[-1] < SINGULAR),
-        dv=dv,
         categories=tuple(categories),
         covariance=covariance,
         cells=cells,

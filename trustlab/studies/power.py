@@ -446,11 +446,11 @@ class SmallestN(Tested):
         return (
             f"A sample of {self.n} participants ({self.whole_squares} to fill whole Latin squares) "
             f"has a power of {share(self.power)} "
-            f"(95% CI [{share(self.ci_low)}, {share(self.ci_high)}]) in "
-            f"{simulation.replicates} simulated studies (seed {simulation.seed}), for the test "
-            f"{self.test} at α = {simulation.alpha:g}. Assumed means (SDs) are {conditions}, with a "
-            f"mean correlation of {apa_number(people.correlation)} between conditions.{source} "
-            "Standard deviations twice as large would ask for about four times as many."
+            f"(95% CI [{share(self.ci_low)}, {share(self.ci_high)}]) in {simulation.replicates} "
+            f"simulated studies (seed {simulation.seed}), for the test {self.test} at α = "
+            f"{simulation.alpha:g}. Assumed means (SDs) are {conditions}, with a mean correlation "
+            f"of {apa_number(people.correlation)} between conditions.{source} Standard deviations "
+            "twice as large would ask for about four times as many."
         )
 
 

@@ -303,9 +303,13 @@ def score(
         table, ends, kind = 100.0 * (table - low) / (high - low), 100.0, "raw"
     whole, turned = table.copy(), [*questionnaire.reversed]
     whole[turned] = ends - whole[turned]
-    own = {f"{name}_{kind}" for kind in ("mean", "sum", "raw", "weighted")}
-    for part in {*questionnaire.subscales} & {*own, *table.index.names}:
-        raise ValueError(f"subscales: {part!r} is another column of the scores; rename it")
+    columns = [f"{name}_{kind}" for kind in ("mean", "sum", "raw", "weighted")]
+    columns += [*questionnaire.subscales, *table.index.names]
+    for column in columns:
+        if columns.count(column) > 1:
+            raise ValueError(
+                f"answers or subscales: {column!r} is another column of the scores; rename it"
+            )
     coded = {f"{name}_{kind}": whole}
     coded |= {part: table[[*items]] for part, items in questionnaire.subscales.items()}
     scores = {part: items.mean(axis=1) for part, items in coded.items()}

@@ -31,6 +31,7 @@ from trustlab.studies.table import (
     origin_of,
     read_cells,
     read_factors,
+    refuse_shared,
 )
 from trustlab.studies.words import apa_report
 
@@ -125,8 +126,7 @@ class RepeatedMeasures(Tested):
             table[f"ci_low{end}"] = table["mean"] - half * se
             table[f"ci_high{end}"] = table["mean"] + half * se
         names = ["condition"] if self.one_way else [*self.between, *self.within]
-        for name in {*names} & {*table}:
-            raise ValueError(f"{name!r} is the name of a factor and of a statistic; rename it")
+        refuse_shared(names, table)
         cells = [*product(*self.between.values(), *self.within.values())]
         return labelled(pd.DataFrame(cells, columns=names, dtype=object).join(table), self.origin)
 

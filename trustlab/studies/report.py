@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from trustlab.allocation.thresholds import ThresholdChoice
 from trustlab.models.checks import of_class, one_of, shown
 from trustlab.models.display import Result
 from trustlab.models.extras import extra
@@ -94,7 +95,7 @@ class StudyReport(Result):
             for title, table in self.tables.items()
         }
         if kind == ".html":
-            parts = [f"<p>{html.escape(self.message)}</p>"] if self.message else []
+            parts = ['<meta charset="utf-8">', f"<p>{html.escape(self.message)}</p>"]
             for number, (title, table) in enumerate(tables.items(), start=1):
                 caption = f"<p><b>Table {number}</b><br><i>{html.escape(title)}</i></p>"
                 parts += [caption, table.to_html(index=False, border=0)]
@@ -222,12 +223,15 @@ def _side_by_side(
     title, table = "Results", pd.concat(parts, names=["of"])
     if table.index.names[-1] is None:
         table = table.droplevel(-1)
-    if {"value", "stderr"} <= set(whole):
+    fits = {"value", "stderr"} <= {*whole}
+    if thresholds and not fits:
+        raise ValueError("thresholds are printed beside fits; frame holds other results")
+    if fits:
         title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
         rows = []
         for name, fit in results.items():
-            row = {"of": f"{name}{'' if fit.success else ' (the fit failed)'}"}
-            estimates = fit.table()
+            failed = " (the fit failed)" * (not getattr(fit, "success", True))
+            row, estimates = {"of": f"{name}{failed}"}, _table_of(fit)
             names = estimates.index
             if "status" in estimates:
                 names = names[estimates["status"] != "derived"]
@@ -238,7 +242,7 @@ def _side_by_side(
             cells = texts["value"] + " ± " + texts["standard error"]
             row |= dict(zip(map(in_words, names), cells, strict=True))
             if thresholds:
-                choice = thresholds[name]
+                choice = of_class("thresholds", thresholds[name], ThresholdChoice)
                 row["TSC_l"] = apa_number(choice.lower, 3)
                 row["TSC_u"] = apa_number(choice.upper, 3)
                 row["offered"] = "yes" if choice.offered else "no"

@@ -266,6 +266,12 @@ def cells_of(levels: Levels) -> list:
     return [cell if len(levels) > 1 else cell[0] for cell in product(*levels.values())]
 
 
+def refuse_shared(factors: Iterable, statistics: Iterable) -> None:
+    """Refuse a factor that has the name of a column beside it."""
+    for name in {*factors} & {*statistics}:
+        raise ValueError(f"{name!r} is the name of a factor and of a statistic; rename it")
+
+
 def one_row_a_cell(table: pd.DataFrame, names: list[Hashable], dv: Hashable) -> None:
     """Refuse a table with two rows of one label in all of these columns."""
     for row in table.index[table.duplicated(names)]:

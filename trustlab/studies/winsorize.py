@@ -11,6 +11,7 @@ from trustlab.models.checks import one_of, positive
 from trustlab.models.display import Result
 from trustlab.studies.table import (
     labelled,
+    labels_index,
     levels_of,
     mark,
     numbers_of,
@@ -139,9 +140,10 @@ def winsorize(
     roles_of("data", data, dv=[dv], within=[within], subject=[subject])
     people, scores, conditions = data[subject], numbers_of(data[dv], "dv"), data[within]
     one_row_a_cell(data, [subject, within], dv)
-    changes, limits = [], []
-    for condition in levels_of(conditions, "within"):
-        rows = np.flatnonzero((conditions == condition) & np.isfinite(scores))
+    changes, limits, levels = [], [], levels_of(conditions, "within")
+    codes = pd.Categorical(conditions.tolist(), labels_index(levels)).codes
+    for number, condition in enumerate(levels):
+        rows = np.flatnonzero((codes == number) & np.isfinite(scores))
         old = scores[rows]
         middle, spread = middle_and_spread(old) if old.size > 2 else (np.nan, np.nan)
         # A spread of 0 where not all values are equal tells nothing.
@@ -154,7 +156,8 @@ def winsorize(
                 f"{old.size} values are too few, or so many are equal that their spread is 0"
             )
         new = np.clip(old, *((low, high) if to == "limit" else (inside.min(), inside.max())))
-        moves = {"subject": people.iloc[rows], "condition": condition, "old": old, "new": new}
+        moves = {"subject": people.iloc[rows], "condition": [condition] * old.size}
+        moves |= {"old": old, "new": new}
         changes.append(pd.DataFrame(moves).query("old != new"))
         limits.append((condition, old.size, low, high, len(changes[-1])))
         scores[rows] = new
