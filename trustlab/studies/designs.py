@@ -144,10 +144,7 @@ def design_balance(orders: pd.DataFrame) -> DesignBalance:
     follows = pd.crosstab(before, after).reindex(index=places.index, columns=places.index)
     # Nothing follows itself.
     follows = follows.fillna(0).where(~np.eye(len(places), dtype=bool))
-    return DesignBalance(
-        places.rename_axis(index="condition", columns="position"),
-        follows.rename_axis(index="before", columns="after"),
-    )
+    return DesignBalance(places, follows.rename_axis(index="before", columns="after"))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -21,7 +21,6 @@ from trustlab.models.checks import (
     of_class,
     one_of,
     open_unit,
-    set_checked,
     shown,
     whole_number,
     whole_seed,
@@ -83,9 +82,9 @@ class Simulation:
     alpha: float = 0.05
 
     def __post_init__(self):
-        set_checked(self, open_unit, "alpha")
         replicates = whole_number("replicates", self.replicates, least=100, most=10_000_000)
-        self.__dict__.update(replicates=replicates, seed=whole_seed(self.seed))
+        alpha, seed = open_unit("alpha", self.alpha), whole_seed(self.seed)
+        self.__dict__.update(replicates=replicates, seed=seed, alpha=alpha)
 
 
 USUAL_SIMULATION = Simulation()
@@ -228,7 +227,7 @@ class PowerAnalysis(Tested):
     population : Conditions
         The population, before it is varied.
     simulation : Simulation
-        Replicates, seed and levels.
+        Replicates, seed and level.
     tests : pandas.DataFrame
         The power of every F, which `table()` returns: a row per cell, effect and test: n (in each
         group), effect, effect_size (partial η² of the population), correlation, epsilon,
@@ -352,7 +351,7 @@ def power_analysis(
         Pairs that must be found together with F, in the direction of the population's difference,
         of which each has one.
     simulation : Simulation
-        Replicates, seed and levels.
+        Replicates, seed and level.
 
     Returns
     -------

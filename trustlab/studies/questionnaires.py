@@ -332,7 +332,7 @@ def score(
                 "choices between pairs: six whole numbers from 0 to 5 with the sum 15 (nan: the "
                 "subject has none)"
             )
-        scores[f"{name}_weighted"] = (w * whole).sum(axis=1) / w.sum(axis=1)
+        scores[f"{name}_weighted"] = (w * whole).sum(axis=1) / 15.0
     result = labelled(pd.DataFrame(scores).reset_index(), origin_of(answers))
     return ScaleScores(questionnaire, result, coded)
 

@@ -83,7 +83,7 @@ class VirtualStudy(Result):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the measures."""
-        return tuple(name for name in self.measures.columns if name not in KEYS)
+        return tuple(self.measures.columns.drop([*KEYS]))
 
     @property
     def origin(self) -> str:
