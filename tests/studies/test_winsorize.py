@@ -72,8 +72,8 @@ def test_conditions_may_be_pairs():
 
 
 def test_two_rows_of_a_cell_and_two_roles_of_a_column_are_refused():
-    """They counted twice, and moved the limits."""
+    """They counted twice, and moved the limits; later they were said to be in `frame`."""
     frame = drawn().assign(mode="a")
-    for dv, message in (("score", "more than one row for a cell"), ("person", "must be different")):
+    for dv, message in (("score", "^dv: there is more than one row"), ("person", "must be diff")):
         with refused(message):
             winsorize(frame, **COLUMNS | {"dv": dv}, outside="sd", k=2.0, to="limit")

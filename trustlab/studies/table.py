@@ -276,8 +276,8 @@ def one_row_a_cell(table: pd.DataFrame, names: list[Hashable], dv: Hashable) -> 
     """Refuse a table with two rows of one label in all of these columns."""
     for row in table.index[table.duplicated(names)]:
         raise ValueError(
-            f"frame has more than one row for a cell, such as row {row!r}; average the trials of a "
-            f"cell first: frame[{dv!r}] = frame.groupby({names})[{dv!r}].transform('mean'), then "
+            f"dv: there is more than one row for a cell, such as row {row!r}; average the trials "
+            f"of a cell first: frame[{dv!r}] = frame.groupby({names})[{dv!r}].transform('mean'), then "
             f"frame.drop_duplicates({names})"
         )
 
