@@ -277,8 +277,8 @@ def one_row_a_cell(table: pd.DataFrame, names: list[Hashable], dv: Hashable) -> 
     for row in table.index[table.duplicated(names)]:
         raise ValueError(
             f"dv: there is more than one row for a cell, such as row {row!r}; average the trials "
-            f"of a cell first: frame[{dv!r}] = frame.groupby({names})[{dv!r}].transform('mean'), then "
-            f"frame.drop_duplicates({names})"
+            f"of a cell first: frame[{dv!r}] = frame.groupby({names})[{dv!r}].transform('mean'), "
+            f"then frame.drop_duplicates({names})"
         )
 
 
