@@ -19,6 +19,7 @@ from trustlab.models.checks import (
     counted,
     list_of,
     one_of,
+    shown,
     warn,
     whole_number,
     whole_seed,
@@ -358,10 +359,13 @@ def virtual_study(
 def _fitting(testbed: Any, conditions: Any, laps: int | None) -> tuple[Any, tuple[str, ...]]:
     """Return the testbed with rules of the user's own, and the conditions that it runs."""
     bed = named_testbed(testbed, laps)
-    given = bed.printed_conditions if conditions is None else conditions
+    conditions = bed.printed_conditions if conditions is None else conditions
+    # A set has another order, and so other draws, in each process.
+    if not isinstance(conditions, list | tuple):
+        raise ValueError(f"conditions must be a list of names, got {shown(conditions)}")
     rules: dict[str, Callable] = {}
     names = []
-    for condition in list_of("conditions", given):
+    for condition in conditions:
         if hasattr(condition, "leader"):  # a policy has its name with it
             condition = (condition.title, partial(copy, condition))
         if isinstance(condition, tuple):
