@@ -137,7 +137,7 @@ def one_row(**answers):
 MOOD = Questionnaire("mood", ["a", "b", "c"], 0, 10, ["c"], {"ac": ["a", "c"]}, step=2.5)
 # The small studies (Section 2.4.1.3): satisfaction, comfort and control, from 1 to 5.
 SMALL = {"satisfaction": 5, "comfort": 4, "control": 3}
-SEVEN = replace(satisfaction_scale(7, ["comfort", "control"]), reversed=["control"])
+SEVEN = satisfaction_scale(7, ["comfort", "control"], reversed=["control"])
 FREE = Questionnaire("free", ["a"], 0, 1, step=None)
 TWENTY = replace(NASA_TLX, low=1, high=20, step=1)
 

@@ -104,7 +104,12 @@ class DesignBalance(Result):
         return pd.concat(counts, axis=1).rename_axis(index="condition")
 
 
-def design_balance(orders: pd.DataFrame) -> DesignBalance:
+def design_balance(
+    orders: pd.DataFrame,
+    participant: str = "participant",
+    position: str = "position",
+    condition: str = "condition",
+) -> DesignBalance:
     """
     Count positions and first-order carry-over in any set of orders, such as those of the remaining
     participants.
@@ -112,8 +117,9 @@ def design_balance(orders: pd.DataFrame) -> DesignBalance:
     Parameters
     ----------
     orders : pandas.DataFrame
-        A row per participant and position, in columns participant, position and condition;
-        positions count from 1.
+        A row per participant and position.
+    participant, position, condition : str
+        Its columns; positions count from 1.
 
     Raises
     ------
@@ -128,23 +134,28 @@ def design_balance(orders: pd.DataFrame) -> DesignBalance:
     >>> tl.design_balance(orders).balanced
     True
     """
-    roles_of("orders", orders, orders=["participant", "position", "condition"])
-    labels = labels_of("condition", orders["condition"].drop_duplicates(), 2)
-    rows = orders.reset_index(drop=True).sort_values("position")
-    people = rows.groupby("participant", sort=False)
-    lists = people[["position", "condition"]].agg(list)
+    roles_of(
+        "orders", orders, participant=[participant], position=[position], condition=[condition]
+    )
+    labels = labels_of("condition", orders[condition].drop_duplicates(), 2)
+    rows = orders.reset_index(drop=True).sort_values(position)
+    people = rows.groupby(participant, sort=False)
+    lists = people[[position, condition]].agg(list)
     for label, places, names in lists.itertuples():
         if {*names} != {*labels} or places != [*range(1, len(labels) + 1)]:
             raise ValueError(
                 f"participant {label!r} had {names} at {places}; each of {[*labels]} is needed "
                 "once, at positions 1, 2 …"
             )
-    after, before = rows["condition"], people["condition"].shift()
-    places = pd.crosstab(after, rows["position"])
+    after, before = rows[condition], people[condition].shift()
+    places = pd.crosstab(after, rows[position])
     follows = pd.crosstab(before, after).reindex(index=places.index, columns=places.index)
     # Nothing follows itself.
     follows = follows.fillna(0).where(~np.eye(len(places), dtype=bool))
-    return DesignBalance(places, follows.rename_axis(index="before", columns="after"))
+    return DesignBalance(
+        places.rename_axis(index="condition", columns="position"),
+        follows.rename_axis(index="before", columns="after"),
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import between, positive
+from trustlab.models.checks import between, open_unit, positive
 from trustlab.studies.pairs import holm, normality
 from trustlab.studies.repeated_measures import RepeatedMeasures, repeated_measures
 from trustlab.studies.table import Tested, labelled
@@ -133,6 +133,7 @@ def equivalence(
     bound: float,
     order: Sequence | None = None,
     missing: str = "raise",
+    alpha: float = 0.05,
 ) -> pd.DataFrame:
     """
     Test every pair of conditions for equivalence by two one-sided paired t-tests.
@@ -150,14 +151,16 @@ def equivalence(
     missing : {"raise", "listwise"}
         Whether a missing cell is an error, or its subject is left out; `.attrs["excluded"]` names
         them.
+    alpha : float
+        Level of both tests, below 0.5.
 
     Returns
     -------
     pandas.DataFrame
         A row per pair: a, b, n, mean_difference (a − b), low, high (the bounds), t_low, p_low
         (against differences at or below `low`), t_high, p_high, df, p (the greater of the two),
-        p_holm, ci_low, ci_high (90 %; inside the bounds where p < .05), equivalent (p < .05,
-        unadjusted).
+        p_holm, ci_low, ci_high (level 1 − 2 alpha; inside the bounds where p < alpha), equivalent
+        (p < alpha, unadjusted).
 
     Raises
     ------
@@ -181,11 +184,14 @@ def equivalence(
     1  C1  C3       False
     2  C1  C4        True
     """
-    bound = positive("bound", bound)
+    bound, alpha = positive("bound", bound), open_unit("alpha", alpha)
+    if alpha >= 0.5:
+        raise ValueError(f"alpha must be below 0.5, as the interval has 1 − 2 alpha, got {alpha}")
     result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
-    pairs, df = _tested(result, 0.9), result.n - 1
+    level = 1.0 - 2.0 * alpha
+    pairs, df = _tested(result, level), result.n - 1
     mean = pairs["mean_difference"]
-    error = (pairs["ci_high"] - mean) / special.stdtrit(df, 0.95)
+    error = (pairs["ci_high"] - mean) / special.stdtrit(df, 1.0 - alpha)
     t_low, t_high = (mean + bound) / error, (mean - bound) / error
     p_low, p_high = special.stdtr(df, -t_low), special.stdtr(df, t_high)
     p = np.maximum(p_low, p_high)
@@ -203,9 +209,9 @@ def equivalence(
         p_holm=holm(p.to_numpy()),
         ci_low=pairs["ci_low"],
         ci_high=pairs["ci_high"],
-        equivalent=p < 0.05,
+        equivalent=p < alpha,
     )
-    return labelled(table, result.origin, excluded=result.excluded, confidence=0.9)
+    return labelled(table, result.origin, excluded=result.excluded, confidence=level)
 
 
 def _tested(result: RepeatedMeasures, confidence: float = 0.95) -> pd.DataFrame:

@@ -131,6 +131,7 @@ TRUST_CHECKLIST = Questionnaire(
 def satisfaction_scale(
     points: int = 5,
     items: Sequence[str] | int = ("satisfaction", "comfort", "control"),
+    reversed: Sequence[str] = (),
 ) -> Questionnaire:
     """
     Return the satisfaction questionnaire of the small studies, or of the large ones.
@@ -147,8 +148,9 @@ def satisfaction_scale(
         Answers run from 1 to this, at least 2.
     items : sequence of str or int
         Short names of the items; or how many items of [65], which are then called satisfaction_1,
-        satisfaction_2 …; give items worded in the opposite direction by
-        ``dataclasses.replace(…, reversed=[…])``.
+        satisfaction_2 ….
+    reversed : sequence of str
+        Items for which a high answer means little satisfaction.
 
     Returns
     -------
@@ -157,7 +159,7 @@ def satisfaction_scale(
     Raises
     ------
     ValueError
-        If `points` is no whole number of at least 2, or items repeat.
+        If `points` is no whole number of at least 2, or a reversed item is not among the items.
 
     Examples
     --------
@@ -171,7 +173,7 @@ def satisfaction_scale(
     else:
         source = "satisfaction, the questionnaire of [65] (Sections 2.4.2.4 and 3.9.3)"
         items = [f"satisfaction_{k + 1}" for k in range(whole_number("items", items, most=100))]
-    return Questionnaire("satisfaction", items, 1, points, source=source)
+    return Questionnaire("satisfaction", items, 1, points, reversed, source=source)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -358,40 +360,48 @@ def _read(
     return pd.DataFrame(numbers).set_axis(index)
 
 
-def tlx_weights(choices: pd.DataFrame) -> pd.DataFrame:
+def tlx_weights(
+    choices: pd.DataFrame,
+    *,
+    subject: str = "subject",
+    first: str = "first",
+    second: str = "second",
+    chosen: str = "chosen",
+) -> pd.DataFrame:
     """
     Count weights of the task load index from the fifteen pairwise choices.
 
     Parameters
     ----------
     choices : pandas.DataFrame
-        A row per subject and pair of scales, in columns subject; first and second, the scales
-        compared; and chosen, the one that contributed more to the workload. Scales are named as in
-        NASA_TLX.items.
+        A row per subject and pair of scales.
+    subject, first, second, chosen : str
+        Columns: who, the two scales compared, and the one that contributed more to the workload;
+        scales are named as in NASA_TLX.items.
 
     Returns
     -------
     pandas.DataFrame
-        A row per subject: subject, then a whole number from 0 to 5 per scale, 15 in sum.
+        A row per subject: the subject column, then a whole number from 0 to 5 per scale, 15 in sum.
 
     Raises
     ------
     ValueError
         Naming the subject whose choices are not one for each pair, or lie outside the pair.
     """
-    roles_of("choices", choices, choices=["subject", "first", "second", "chosen"])
+    roles_of("choices", choices, subject=[subject], first=[first], second=[second], chosen=[chosen])
     items, rows = NASA_TLX.items, []
-    for label, part in choices.groupby(choices["subject"], sort=False):
-        triples = part[["first", "second", "chosen"]].itertuples(index=False)
+    for label, part in choices.groupby(choices[subject], sort=False):
+        triples = part[[first, second, chosen]].itertuples(index=False)
         picks = Counter(frozenset(pair) for *pair, pick in triples if pick in pair)
         wrong = [pair for pair in combinations(items, 2) if picks[frozenset(pair)] != 1]
         if wrong or len(part) > 15:
             raise ValueError(
-                f"choices: subject {label!r} must have one row for each pair of {items}, with one "
+                f"chosen: subject {label!r} must have one row for each pair of {items}, with one "
                 f"of the two; it has {len(part)} rows, and not one for {wrong}"
             )
-        wins = part["chosen"].value_counts().reindex(items, fill_value=0)
-        rows.append({"subject": label, **wins})
+        wins = part[chosen].value_counts().reindex(items, fill_value=0)
+        rows.append({subject: label, **wins})
     return pd.DataFrame(rows)
 
 
