@@ -194,6 +194,7 @@ ALLOWED = {
     "repeated_measures missing": "nothing is missing",
     "run_correction": "measures its own time",
     "simulate_allocation mode": "none of 50 samples is near a threshold",
+    "smallest_n most": "fewer suffice",
     "FitResult.residuals output": "the example has one output",
     "FitResult.residual_correlations output": "the example has one output",
     "latin_square_design whole_squares": "eight are whole squares",

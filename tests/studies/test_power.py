@@ -3,6 +3,8 @@ Power. Oracles: the noncentral F of SciPy, a plain loop of tl.repeated_measures 
 sums of squares by hand, theorems.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -150,9 +152,10 @@ def test_a_pilot_study_is_the_population():
 PILOT = drawn(30, mode=["C1", "C2", "C3"]).assign(score=lambda f: 2.0 + 0.3 * f["score"])
 
 
-def planned(*population, **more):
+def planned(*population, level=0.95, **more):
     columns = StudyColumns(**COLUMNS) if "data" in more else StudyColumns()
-    return tl.smallest_n(0.8, *population, **more, columns=columns, simulation=SMALL)
+    simulation = replace(SMALL, level=level)
+    return tl.smallest_n(0.8, *population, **more, columns=columns, simulation=simulation)
 
 
 def test_means_beside_data_take_the_spread_of_the_pilot():
@@ -172,16 +175,16 @@ def test_people_whose_scores_do_not_depend_on_each_other_are_a_population():
 
 
 def test_the_search_ends_at_most():
-    with refused(r"power: 2000 subjects reach .* Measure each condition more often"):
-        planned([0.0, 0.005, 0.01], graded_covariance(3))
+    with refused(r"power: 100 subjects reach .* Raise most="):
+        planned([0.0, 0.05, 0.1], graded_covariance(3), most=100)
 
 
 def test_a_plan_says_what_it_assumes():
     pilot = PILOT.assign(synthetic=True)
     with pytest.warns(UserWarning, match="covariance is that of synthetic data"):
-        plan = planned({"C1": 2.0, "C3": 2.1}, data=pilot)
+        plan = planned({"C1": 2.0, "C3": 2.1}, data=pilot, level=0.8)
     start, seed = f"A sample of {plan.n} participants", "100 simulated studies (seed 3)"
-    for words in (start, seed, "95% CI [", "C1 2 (", "that of synthetic data"):
+    for words in (start, seed, "80% CI [", "C1 2 (", "that of synthetic data"):
         assert words in plan.apa()
 
 

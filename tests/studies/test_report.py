@@ -8,6 +8,7 @@ import html
 import re
 from functools import partial
 
+import numpy as np
 import pandas as pd
 import pytest
 from pandas.testing import assert_frame_equal
@@ -149,9 +150,12 @@ def test_fits_by_participant_are_one_table(fit, tmp_path):
 def test_every_head_names_the_level_of_its_intervals(fit):
     """They said 95 % whatever it was."""
     analysis = tl.repeated_measures(ONE, **PART)
+    given = {"mean": [0.0, 1.0], "covariance": np.eye(2)}
+    given["simulation"] = tl.studies.Simulation(replicates=100, level=0.8)
+    plan, power = tl.smallest_n(0.5, **given), tl.power_analysis(**given)
     two = {level: tl.paired_t_test(ONE, **PART, confidence=level) for level in (0.8, 0.9)}
     tables = {
-        80: [analysis.pairs(confidence=0.8), fit.table(0.8)],
+        80: [analysis.pairs(confidence=0.8), plan.table(), power.table(), fit.table(0.8)],
         90: [tl.equivalence(ONE, **PART, bound=1.0), two[0.9].table()],
         95: [analysis.pairs(), fit.table()],
     }

@@ -21,6 +21,7 @@ from trustlab.models.checks import (
     of_class,
     one_of,
     open_unit,
+    set_checked,
     shown,
     whole_number,
     whole_seed,
@@ -51,7 +52,7 @@ TESTS = {"none": "p", "greenhouse-geisser": "p_gg", "huynh-feldt": "p_hf"}
 ADJUSTMENTS: dict[str, Any] = {"none": np.asarray, "bonferroni": bonferroni, "holm": holm}
 # The correction that `repeated_measures` makes by default.
 USUAL_TEST = "greenhouse-geisser"
-MOST_N, MOST_TRIED = 100_000, 2000
+MOST_N = 100_000
 # Scores drawn at once.
 SCORES = 1 << 20
 
@@ -70,6 +71,8 @@ class Simulation:
         a grid.
     alpha : float
         Level of all tests, in (0, 1).
+    level : float
+        Coverage of the Monte-Carlo intervals (Clopper–Pearson), in (0, 1).
 
     Raises
     ------
@@ -80,11 +83,12 @@ class Simulation:
     replicates: int = 10_000
     seed: int = 0
     alpha: float = 0.05
+    level: float = 0.95
 
     def __post_init__(self):
+        set_checked(self, open_unit, "alpha", "level")
         replicates = whole_number("replicates", self.replicates, least=100, most=10_000_000)
-        alpha, seed = open_unit("alpha", self.alpha), whole_seed(self.seed)
-        self.__dict__.update(replicates=replicates, seed=seed, alpha=alpha)
+        self.__dict__.update(replicates=replicates, seed=whole_seed(self.seed))
 
 
 USUAL_SIMULATION = Simulation()
@@ -93,10 +97,10 @@ USUAL_SIMULATION = Simulation()
 # --- studies --------------------------------------------------------------------------------------
 
 
-def clopper_pearson(count: ArrayLike, total: int) -> tuple[Any, Any]:
+def clopper_pearson(count: ArrayLike, total: int, level: float = 0.95) -> tuple[Any, Any]:
     """
-    Return the exact 95 % interval of a share of which `count` in `total` draws were found (Clopper
-    and Pearson, 1934).
+    Return the exact interval of a share of which `count` in `total` draws were found (Clopper and
+    Pearson, 1934).
 
     Parameters
     ----------
@@ -104,6 +108,8 @@ def clopper_pearson(count: ArrayLike, total: int) -> tuple[Any, Any]:
         How often, from 0 to `total`.
     total : int
         Draws.
+    level : float
+        Coverage.
 
     Returns
     -------
@@ -115,13 +121,13 @@ def clopper_pearson(count: ArrayLike, total: int) -> tuple[Any, Any]:
     ValueError
         If a count is not whole or lies outside 0 to `total`.
     """
-    total = whole_number("total", total, most=10**15)
+    total, level = whole_number("total", total, most=10**15), open_unit("level", level)
     counts = np.asarray(count)
     if counts.dtype.kind not in "iu" or ((counts < 0) | (counts > total)).any():
         raise ValueError(f"count must hold whole numbers from 0 to {total}, got {count!r:.60}")
     from statsmodels.stats.proportion import proportion_confint
 
-    return proportion_confint(counts, total, method="beta")
+    return proportion_confint(counts, total, alpha=1.0 - level, method="beta")
 
 
 def simulated(
@@ -158,16 +164,16 @@ def simulated(
     names = {"effect": map(effect_name, design.hypotheses), "test": TESTS}
     of_claims = {"found": ["pairs", "claims"], "adjust": ADJUSTMENTS}
     return (
-        _shares(sum(rejected), simulation.replicates, names),
-        _shares(sum(found), simulation.replicates, of_claims) if found else None,
+        _shares(sum(rejected), simulation, names),
+        _shares(sum(found), simulation, of_claims) if found else None,
     )
 
 
-def _shares(hits: Any, total: int, names: dict[str, Any]) -> pd.DataFrame:
+def _shares(hits: Any, simulation: Simulation, names: dict[str, Any]) -> pd.DataFrame:
     """Return the shares of hits and their intervals, a row for each combination of names."""
-    low, high = clopper_pearson(hits, total)
-    index = pd.MultiIndex.from_product(names.values(), names=names)
-    return pd.DataFrame({"power": hits / total, "ci_low": low, "ci_high": high}, index)
+    low, high = clopper_pearson(hits, simulation.replicates, simulation.level)
+    columns = {"power": hits / simulation.replicates, "ci_low": low, "ci_high": high}
+    return pd.DataFrame(columns, pd.MultiIndex.from_product(names.values(), names=names))
 
 
 def exact_tests(population: Conditions, n: int, alpha: float) -> pd.DataFrame:
@@ -227,7 +233,7 @@ class PowerAnalysis(Tested):
     population : Conditions
         The population, before it is varied.
     simulation : Simulation
-        Replicates, seed and level.
+        Replicates, seed and levels.
     tests : pandas.DataFrame
         The power of every F, which `table()` returns: a row per cell, effect and test: n (in each
         group), effect, effect_size (partial η² of the population), correlation, epsilon,
@@ -265,7 +271,10 @@ class PowerAnalysis(Tested):
     def message(self) -> str:
         """How many studies, at which level."""
         of = self.simulation
-        return f"{of.replicates} per cell, level {of.alpha:g}, 95 % Monte-Carlo intervals"
+        return (
+            f"{of.replicates} per cell, level {of.alpha:g}, {100 * of.level:g} % Monte-Carlo "
+            "intervals"
+        )
 
     def plot(self, test: str | Sequence[str] = USUAL_TEST, axes=None):
         """
@@ -351,7 +360,7 @@ def power_analysis(
         Pairs that must be found together with F, in the direction of the population's difference,
         of which each has one.
     simulation : Simulation
-        Replicates, seed and level.
+        Replicates, seed and levels.
 
     Returns
     -------
@@ -397,11 +406,12 @@ def power_analysis(
             together.append(exact[["n", "effect_size", "epsilon"]].merge(claimed, how="cross"))
     if not tables:
         raise ValueError("n, effect_size or epsilon is empty: give a number")
+    origin, level = population.simulated_origin, simulation.level
     return PowerAnalysis(
         population,
         simulation,
-        labelled(pd.concat(tables, ignore_index=True), population.simulated_origin),
-        labelled(pd.concat(together, ignore_index=True), population.simulated_origin),
+        labelled(pd.concat(tables, ignore_index=True), origin, confidence=level),
+        labelled(pd.concat(together, ignore_index=True), origin, confidence=level),
     )
 
 
@@ -445,8 +455,9 @@ class SmallestN(Tested):
         return (
             f"A sample of {self.n} participants ({self.whole_squares} to fill whole Latin squares) "
             f"has a power of {share(self.power)} "
-            f"(95% CI [{share(self.ci_low)}, {share(self.ci_high)}]) in {simulation.replicates} "
-            f"simulated studies (seed {simulation.seed}), for the test {self.test} at α = "
+            f"({100 * simulation.level:g}% CI [{share(self.ci_low)}, "
+            f"{share(self.ci_high)}]) in {simulation.replicates} simulated "
+            f"studies (seed {simulation.seed}), for the test {self.test} at α = "
             f"{simulation.alpha:g}. Assumed means (SDs) are {conditions}, with a mean correlation "
             f"of {apa_number(people.correlation)} between conditions.{source} Standard deviations "
             "twice as large would ask for about four times as many."
@@ -463,6 +474,7 @@ def smallest_n(
     effect_size: float | None = None,
     pair: tuple | None = None,
     test: str | None = None,
+    most: int = 2000,
     simulation: Simulation = USUAL_SIMULATION,
 ) -> SmallestN:
     """
@@ -485,6 +497,8 @@ def smallest_n(
     test : str, optional
         Correction of F, "greenhouse-geisser" (by default), "huynh-feldt" or "none"; of a pair, the
         adjustment of its p-value, "holm" (by default), "bonferroni" or "none".
+    most : int
+        The largest n to try.
     simulation : Simulation
         As for `power_analysis`.
 
@@ -495,7 +509,7 @@ def smallest_n(
     Raises
     ------
     ValueError
-        If an argument is out of range, or even 2,000 subjects do not reach the power.
+        If an argument is out of range, or even `most` subjects do not reach the power.
 
     Examples
     --------
@@ -516,6 +530,7 @@ def smallest_n(
     if effect_size is not None:
         population = population.with_effect(effect_size)
     target = open_unit("power", power)
+    most = whole_number("most", most, least=3, most=MOST_N)
     mask = None if pair is None else claims_mask("pair", [pair], population)
     usual, tests = (USUAL_TEST, TESTS) if pair is None else ("holm", ADJUSTMENTS)
     test = one_of("test", usual if test is None else test, tests)
@@ -530,17 +545,18 @@ def smallest_n(
 
     low, high = 2, 3
     while found(high)["power"] < target:
-        if high == MOST_TRIED:
+        if high == most:
             raise ValueError(
-                f"power: {high} subjects reach {found(high)['power']:.3g} only, {target:g} was "
-                "wanted. Measure each condition more often, which makes people differ less, or "
-                "look for a greater effect"
+                f"power: {most} subjects reach {found(most)['power']:.3g} only, "
+                f"{target:g} was wanted. Raise most=, measure each condition more often, which "
+                "makes people differ less, or look for a greater effect"
             )
-        low, high = high, min(2 * high, MOST_TRIED)
+        low, high = high, min(2 * high, most)
     while high - low > 1:
         n = (low + high) // 2
         low, high = (low, n) if found(n)["power"] >= target else (n, high)
     row = {"test": f"{name}, {test}", "wanted": target, "n": high, **found(high)}
     row["whole_squares"] = participants_needed(len(population.labels), high)
-    table = labelled(pd.DataFrame([row]), population.simulated_origin)
+    origin, level = population.simulated_origin, simulation.level
+    table = labelled(pd.DataFrame([row]), origin, confidence=level)
     return SmallestN(table, population, simulation)
