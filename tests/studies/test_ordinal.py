@@ -37,7 +37,8 @@ def test_agrees_with_clmm(wine):
     for name, thresholds in (("estimate", "thresholds"), ("se", "thresholds_se")):
         theirs = expected[name] + expected[thresholds]
         assert_allclose(table[name], theirs, atol=1e-5)
-    assert wine.variances.item() == approx(expected["covariance"][0][0], abs=1e-5)
+    variance = wine.random_effects()["variance"].item()
+    assert variance == approx(expected["covariance"][0][0], abs=1e-5)
     assert wine.log_likelihood == approx(expected["log_likelihood"], abs=1e-8)
     assert wine.table()["chi2"].to_numpy() == approx([*R["tests"].values()], abs=1e-5)
 
@@ -87,7 +88,8 @@ def test_two_categories_agree_with_lme4(name):
     found = found.loc[[name.removeprefix("btype") for name in own["names"]]]
     assert_allclose(found["estimate"], own["estimate"], rtol=0.0, atol=5e-6)
     assert_allclose(found["se"], own["se"], rtol=1e-5)
-    assert model.variances.item() == approx(own["variance"], rel=1e-4)
+    variance = model.random_effects()["variance"].item()
+    assert variance == approx(own["variance"], rel=1e-4)
     # With several nodes lme4 gives the likelihood relative to the saturated model's.
     omitted = -41.978353768934 if "nine points" in name else 0.0
     likelihood = own["log_likelihood"] + omitted
@@ -151,7 +153,7 @@ def test_answers_drawn_from_the_model_are_as_it_says(wine):
     assert inside.all()
     rng, draws = np.random.default_rng(0), 200_000
     effects, cuts = np.split(wine.coefficients_table()["estimate"].to_numpy(), [3])
-    people = np.sqrt(wine.variances.item()) * rng.standard_normal(draws)
+    people = wine.random_effects()["sd"].item() * rng.standard_normal(draws)
     rating = np.searchsorted(cuts, effects.sum() + people + rng.logistic(size=draws))
     assert_allclose(np.bincount(rating) / draws, cells.tail(5)["probability"], atol=0.004)
     pair = wine.pairs().set_index(["a", "b"]).loc[("cold × no", "warm × yes")]

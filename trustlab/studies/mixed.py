@@ -348,6 +348,11 @@ class FormulaModel(Tested):
         """Return the fixed effects: name estimate se z p ci_low ci_high (95 %, normal)."""
         return self.coefficients.copy()
 
+    def random_effects(self) -> pd.DataFrame:
+        """Return variances, such as that of the intercepts, with standard deviations."""
+        table = self.variances.rename_axis("name").reset_index(name="variance")
+        return table.assign(sd=np.sqrt(table["variance"]))
+
     def apa(self) -> str:
         """Return the sentence for a paper: the test of every term."""
         tests = [

@@ -1,4 +1,4 @@
-"""Orders of conditions: tests of period, sequence and carry-over."""
+"""Orders of conditions: period, sequence, carry-over, and effects adjusted for them."""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
+from trustlab.studies.anova import Design
+from trustlab.studies.pairs import compared, level_pairs
 from trustlab.studies.table import (
     Tested,
     complete_scores,
@@ -39,11 +41,26 @@ class OrderEffects(Tested):
         condition_without_carry_over (condition adjusted for position only); columns effect, ss,
         df1, df2, F, p, note. NaN where the orders do not separate an effect from others; the note
         says so.
+    differences : pandas.DataFrame
+        What `pairs` returns.
     """
 
     dv: Hashable
     scores: pd.DataFrame
     tests: pd.DataFrame
+    differences: pd.DataFrame
+
+    def pairs(self) -> pd.DataFrame:
+        """
+        Return differences between conditions, adjusted for position and carry-over (as far as the
+        orders separate them).
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns a, b, mean_difference, ci_low, ci_high (95 %, unadjusted), t, df, p, p_holm.
+        """
+        return self.differences.copy()
 
     @property
     def title(self) -> str:
@@ -138,7 +155,10 @@ def order_effects(
         *(_test(name, y, full, noise) for name in ("position", "condition", "carry_over")),
         _test("condition", y, direct, noise) | {"effect": "condition_without_carry_over"},
     ]
-    return OrderEffects(dv, scores, labelled(pd.DataFrame(tests), origin_of(frame)))
+    separable = y.size - df == n + k - 1 + 2 * (len(labels) - 1)
+    parts, design = full if separable else direct, Design(n, {condition: labels})
+    pairs, origin = _differences(y, parts, design), origin_of(frame)
+    return OrderEffects(dv, scores, labelled(pd.DataFrame(tests), origin), labelled(pairs, origin))
 
 
 def _residual(y: np.ndarray, parts: dict[str, np.ndarray]) -> tuple[float, int]:
@@ -167,3 +187,18 @@ def _test(effect: str, y: np.ndarray, parts: dict[str, np.ndarray], noise: float
         few = f"only {df1} of {contrasts} contrasts are estimable from these orders"
         note = few if df1 < contrasts else ""
     return {"effect": effect, "ss": ss, "df1": df1, "df2": df2, "F": f, "p": p, "note": note}
+
+
+def _differences(y: np.ndarray, parts: dict[str, np.ndarray], design: Design) -> pd.DataFrame:
+    """Return the differences of conditions, whose regressors are the first."""
+    error, df = _residual(y, parts)
+    x = np.column_stack([*parts.values()])
+    pairs, _, cells = level_pairs(design, *design.within)
+    weights = np.pad(cells.T, ((0, 0), (0, x.shape[1] - len(cells))))
+    weighted = weights @ np.linalg.pinv(x, 1e-12)
+    # Estimable weights are combinations of contrasts of the regressors.
+    estimable = np.isclose(weighted @ x, weights, atol=1e-8).all(axis=1)
+    difference = np.where(estimable, weighted @ y, np.nan)
+    se = np.sqrt(error / df) * np.linalg.norm(weighted, axis=1)
+    table = compared(pairs, difference, se, df, np.nan)
+    return table[["a", "b", "mean_difference", "ci_low", "ci_high", "t", "df", "p", "p_holm"]]

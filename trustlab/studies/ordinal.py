@@ -156,6 +156,8 @@ class OrdinalModel(FormulaModel):
 
     Parameters
     ----------
+    dv : hashable
+        Column of the ratings.
     categories : tuple
         Values of the ratings, ascending.
     covariance : numpy.ndarray
@@ -165,9 +167,10 @@ class OrdinalModel(FormulaModel):
 
     See Also
     --------
-    FormulaModel : Its table, coefficients_table, variances and sentence.
+    FormulaModel : Its table, coefficients_table, random_effects and sentence.
     """
 
+    dv: Hashable
     categories: tuple
     covariance: np.ndarray
     cells: pd.DataFrame
@@ -352,6 +355,7 @@ def ordinal_model(
         variances=pd.Series({"Intercept": point[-1] ** 2}),
         log_likelihood=log_likelihood(every),
         singular=bool(point[-1] < SINGULAR),
+        dv=dv,
         categories=tuple(categories),
         covariance=covariance,
         cells=cells,
