@@ -223,6 +223,20 @@ def test_people_of_a_testbed_are_numbered_from_one(monkeypatch):
         tl.virtual_study(**QUICK)
 
 
+def test_orders_may_be_drawn_already():
+    bed = UavTracking(duration=4.0)
+    design = tl.latin_square_design(["MI", "M"], 4, seed=5)
+    study = tl.virtual_study(design=design, testbed=bed, seed=2)
+    positions = study.measures[["participant", "condition", "position"]]
+    drawn = design.orders()[[*positions]]
+    assert_frame_equal(positions, drawn, check_dtype=False, check_categorical=False)
+    with refused("n and conditions have no effect beside a design"):
+        tl.virtual_study(4, design=design)
+    named = tl.latin_square_design(["M", "MI"], ["A", "B"])
+    with refused("the number of participants, without names"):
+        tl.virtual_study(design=named)
+
+
 def test_a_study_goes_on_where_it_stopped_and_is_not_mixed_up(tmp_path):
     def state():
         files = [path for path in tmp_path.rglob("*") if path.is_file()]

@@ -17,7 +17,7 @@ def of_values(x, **rule):
     """Winsorize one condition's scores, beside another that is left alone."""
     frame = long(np.column_stack([x, np.arange(len(x))])).assign(synthetic=True)
     both = winsorize(frame, **COLUMNS, **rule)
-    parts = {name: getattr(both, name).query("condition == 'a'") for name in ("tests", "limits")}
+    parts = {name: getattr(both, name).query("condition == 'a'") for name in ("changes", "limits")}
     return replace(both, **parts)
 
 
@@ -35,7 +35,7 @@ def test_rules_by_hand(rule, limits, changed):
     found = of_values(PLAIN, **rule)
     expected = [*limits, len(changed)]
     assert found.limits.loc[0, ["low", "high", "changed"]].tolist() == approx(expected)
-    assert dict(found.tests[["subject", "new"]].to_numpy()) == approx(changed)
+    assert dict(found.changes[["subject", "new"]].to_numpy()) == approx(changed)
     assert found.apa().startswith(
         "[synthetic data] Values winsorized: 1 of 10 (a, subject 9). Rule"
     )
@@ -58,7 +58,7 @@ def test_order_is_kept_inner_values_are_not_touched(values, outside, to):
     outside = new != x
     assert outside.tolist() == ((x < low) | (x > high)).tolist()
     changed = np.column_stack([np.flatnonzero(outside), x[outside], new[outside]])
-    np.testing.assert_array_equal(found.tests[["subject", "old", "new"]], changed)
+    np.testing.assert_array_equal(found.changes[["subject", "old", "new"]], changed)
 
 
 def test_conditions_may_be_pairs():
@@ -68,7 +68,7 @@ def test_conditions_may_be_pairs():
     rule = {"outside": "sd", "k": 1.0, "to": "next"}
     found, same = (winsorize(each, **COLUMNS, **rule) for each in (pairs, frame))
     assert found.data["score"].equals(same.data["score"])
-    assert found.tests["condition"].tolist() == [(mode, 1) for mode in same.tests["condition"]]
+    assert found.changes["condition"].tolist() == [(mode, 1) for mode in same.changes["condition"]]
 
 
 def test_two_rows_of_a_cell_and_two_roles_of_a_column_are_refused():

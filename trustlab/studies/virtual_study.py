@@ -18,6 +18,7 @@ from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import (
     counted,
     list_of,
+    of_class,
     one_of,
     shown,
     warn,
@@ -227,6 +228,7 @@ def virtual_study(
     conditions: Sequence[Any] | None = None,
     seed: int = 0,
     *,
+    design: LatinSquareDesign | None = None,
     testbed: str | Testbed = "ground_robot",
     assumptions: Mapping[str, float] | None = None,
     laps: int | None = None,
@@ -256,6 +258,9 @@ def virtual_study(
     seed : int
         Of the design, of the people and of all runs. With the same seed, the people of a smaller
         study are the first of a larger one.
+    design : LatinSquareDesign, optional
+        Orders that are drawn already, of participants numbered from 1, in the place of `n` and
+        `conditions`.
     testbed : {"ground_robot", "uav_following", "uav_tracking", "robot_team"} or Testbed, optional
         Where conditions are run: on the testbed of Section 2.4.1, of Section 2.4.2, of Chapter 3
         (for its schemes), or of Chapter 4 (for its policies). A `GroundRobot`,
@@ -301,10 +306,18 @@ def virtual_study(
     (13, 3)
     """
     seed = whole_seed(seed)
+    if design is not None:
+        if n is not None or conditions is not None:
+            raise ValueError("n and conditions have no effect beside a design; leave them out")
+        plan = of_class("design", design, LatinSquareDesign).table()
+        n, conditions = len(plan), sorted(plan.iloc[0])
+        if [*plan.index] != [*range(1, n + 1)]:
+            raise ValueError("design: make it with the number of participants, without names")
     bed, names = _fitting(testbed, conditions, laps)
     usual = participants_needed(len(labels_of("conditions", names, 2)), bed.printed_n)
     n = whole_number("n", usual if n is None else n, least=max(3, len(names)), most=1_000_000)
-    design = latin_square_design(names, n, seed=seed, whole_squares=False)
+    if design is None:
+        design = latin_square_design(names, n, seed=seed, whole_squares=False)
     people = bed.people(n, assumptions, seed)
     if [*people.get("participant", ())] != [*range(1, n + 1)]:
         raise ValueError(

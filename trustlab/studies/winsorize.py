@@ -8,8 +8,8 @@ import pandas as pd
 from scipy import stats
 
 from trustlab.models.checks import one_of, positive
+from trustlab.models.display import Result
 from trustlab.studies.table import (
-    Tested,
     labelled,
     labels_index,
     levels_of,
@@ -36,7 +36,7 @@ _TARGETS = {"limit": "set to that limit", "next": "set to the next most extreme 
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Winsorized(Tested):
+class Winsorized(Result):
     """
     Data after winsorizing, and what was changed.
 
@@ -44,8 +44,8 @@ class Winsorized(Tested):
     ----------
     data : pandas.DataFrame
         The data with outlying values replaced; rows, order and other columns are unchanged.
-    tests : pandas.DataFrame
-        What `table` returns, the values changed: subject, condition, old, new.
+    changes : pandas.DataFrame
+        Values changed: subject, condition, old, new.
     limits : pandas.DataFrame
         One row per condition looked at: condition, n, low, high, changed.
     rule : str
@@ -55,20 +55,27 @@ class Winsorized(Tested):
     title = "Winsorizing"
 
     data: pd.DataFrame
-    tests: pd.DataFrame
+    changes: pd.DataFrame
     limits: pd.DataFrame
     rule: str
+
+    @property
+    def message(self) -> str:
+        """The sentence for a paper."""
+        return self.apa()
+
+    def table(self) -> pd.DataFrame:
+        """Return the values changed: subject, condition, old, new."""
+        return self.changes.copy()
 
     def apa(self) -> str:
         """
         Return the sentence for a paper: how many values were changed, of whom, and by which rule.
         """
-        changes = [f"{row.condition}, subject {row.subject}" for row in self.tests.itertuples()]
+        changes = [f"{row.condition}, subject {row.subject}" for row in self.changes.itertuples()]
         where = f" ({'; '.join(changes)})" if changes else ""
-        return (
-            f"{mark(self.origin)}Values winsorized: {len(changes)} of {self.limits['n'].sum()}"
-            f"{where}. Rule: {self.rule}."
-        )
+        origin, total = mark(origin_of(self.changes)), self.limits["n"].sum()
+        return f"{origin}Values winsorized: {len(changes)} of {total}{where}. Rule: {self.rule}."
 
 
 def winsorize(
@@ -156,7 +163,7 @@ def winsorize(
     result[dv] = scores
     return Winsorized(
         data=result,
-        tests=labelled(pd.concat(changes, ignore_index=True), origin_of(data)),
+        changes=labelled(pd.concat(changes, ignore_index=True), origin_of(data)),
         limits=pd.DataFrame(limits, columns=["condition", "n", "low", "high", "changed"]),
         rule=f"values outside {words.format(f'{k:g}')} by condition, {_TARGETS[to]}",
     )
