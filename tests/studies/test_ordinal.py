@@ -268,6 +268,14 @@ def test_names_and_levels_may_be_numbers():
         tl.ordinal_model(numbered.rename(columns={3: 1}), 2, 1, "person")
 
 
+@parametrize("name", ["category", "probability"])
+def test_a_factor_named_like_a_column_of_probabilities_is_refused(name):
+    """It was renamed category_x, or probabilities took its place."""
+    model = tl.ordinal_model(ratings().rename(columns={"mode": name}), "trust", name, "person")
+    with refused(f"'{name}' is the name of a factor and of a statistic; rename"):
+        model.probabilities()
+
+
 def test_a_condition_that_all_answer_alike_is_refused():
     """The estimate was 20, its standard error 3,400, and p < .001."""
     answers = np.random.default_rng(0).integers(0, 2, (12, 6))

@@ -227,7 +227,7 @@ TURNED = TWO_WAY.rename_axis(index=["difficulty", "autonomy"])
         ({"covariance": np.ones((3, 3))}, "positive definite; its least eigenvalue"),
         (
             {"mean": [1, 2], "covariance": pd.DataFrame(np.eye(2), [1, 2], [*"XY"])},
-            r"covariance has the columns \['X', 'Y'\]",
+            r"mean names \[1, 2\], but the covariance is that of \[\]",
         ),
         ({"claims": [(1, 2), (2, 1)]}, r"claims: .* different pairs \(a, b\) of \[1, 2, 3\]"),
         ({"claims": [(1, 2)], "mean": [1, 1, 2]}, r"claims: \[\(1, 2\)\] is no .* means differ"),
@@ -239,9 +239,8 @@ TURNED = TWO_WAY.rename_axis(index=["difficulty", "autonomy"])
         ({"columns": StudyColumns(order=[3, 2, 1])}, "dv, subject and order are of data="),
         ({"columns": StudyColumns(subject="pid")}, "dv, subject and order are of data="),
         ({"columns": StudyColumns(within=[], between="group")}, "within must name a factor"),
-        ({"mean": TWO_WAY.iloc[:-1], "columns": FACTORS}, r"no number for cell \('high', 'hard'\)"),
-        ({"mean": TWO_WAY.iloc[[0, 0]], "columns": FACTORS}, r"\('low', 'easy'\) occurs twice"),
-        ({"mean": SHUFFLED, "columns": FACTORS}, "list the cells of mean with the last"),
+        ({"mean": TWO_WAY.iloc[:-1], "columns": FACTORS}, r"each .* \('high', 'hard'\)\], got "),
+        ({"mean": SHUFFLED, "columns": FACTORS}, "with the last factor varying fastest: "),
         ({"mean": TURNED, "columns": FACTORS}, "must be indexed by autonomy, difficulty, in this"),
     ],
 )
@@ -283,6 +282,18 @@ def test_the_only_effect_has_the_name_of_its_factor_and_whole_numbers_may_be_flo
     found = tl.power_analysis([0.0, 1.0], **given, n=9).table()
     assert {*found["effect"]} == {"dose"}
     assert tl.smallest_n(0.8, [0.0, 1.0], **given).power >= 0.8
+
+
+@parametrize("name", ["pairs", "claims"])
+def test_the_power_of_f_does_not_depend_on_what_its_factor_is_called(name):
+    """Under these names rejections of F and of claimed pairs were added."""
+    of = {"n": 8, "claims": [(1, 3)], "simulation": SMALL}
+    found, usual = (
+        tl.power_analysis([0.0, 0.2, 0.5], np.eye(3), columns=StudyColumns(within=within), **of)
+        for within in (name, "condition")
+    )
+    assert_frame_equal(found.table().assign(effect="condition"), usual.table())
+    assert_frame_equal(found.claims(), usual.claims())
 
 
 def test_an_epsilon_that_leaves_no_variance_is_named():

@@ -209,9 +209,17 @@ LOAD = {"questionnaire": replace(MOOD, task_load=True), "weights": one_row(a=5, 
         # An item was the subject, and a subscale took the place of the score.
         ({"subject": "a"}, "columns must be different for every argument"),
         *TAKEN,
+        # An error of pandas came.
+        ({"condition": "mood_sum"}, "'mood_sum' is another column of"),
         (LOAD, "weights are for six items of a task load index"),
     ],
 )
 def test_what_cannot_be_scored_is_refused(change, message):
     with refused(message):
-        score(**{"answers": one_row(a=5.0, b=5.0, c=5.0), "questionnaire": MOOD} | change)
+        answers = one_row(a=5.0, b=5.0, c=5.0, mood_sum=1)
+        score(**{"answers": answers, "questionnaire": MOOD} | change)
+
+
+def test_reversed_items_are_looked_at_beside_a_subscale_of_that_name():
+    with refused("reversed: 'd' is none of the items"):
+        replace(MOOD, reversed=["d"], subscales={"reversed": ["a"]})

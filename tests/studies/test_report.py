@@ -61,7 +61,7 @@ def test_text_and_tables_are_those_of_the_analysis(make, tmp_path):
 
 
 def read_again(study, folder):
-    return pd.read_html(study.write(folder / "results.html"), encoding="utf-8")
+    return pd.read_html(study.write(folder / "results.html"))
 
 
 def test_a_place_that_cannot_be_written_to_is_named(tmp_path):
@@ -83,6 +83,7 @@ def test_the_comparison_of_two_groups_is_a_row(tmp_path):
     assert table[["a", "b"]].to_numpy().tolist() == [["expert", "novice"]]
 
 
+ESTIMATES = pd.DataFrame({"value": [1.0], "stderr": [0.1]}, ["a"])
 PILOT = tl.read_session("data/sessions/pilot.csv")
 PLAN = tl.latin_square_design([*"ABC"], 6)
 RESULTS = {
@@ -201,6 +202,9 @@ def test_who_was_left_out_is_named_beside_a_table():
         (ONE, {"alpha": 0.01, "within": "scheme"}, "within, alpha: a result is printed as it is"),
         ({"a": ONE}, {"dv": "score"}, "dv: a result is printed as it is"),
         ({"P1": 3}, {}, "or a result, got int"),
+        # They were left out without a word.
+        ({"a": tl.repeated_measures(ONE, **PART)}, {"thresholds": {"a": 3}}, "beside fits; frame"),
+        ({"a": ESTIMATES}, {"thresholds": {"a": 3}}, "thresholds must be of class ThresholdChoice"),
     ],
 )
 def test_what_is_no_result_or_has_no_effect_on_one_is_refused(frame, more, words):

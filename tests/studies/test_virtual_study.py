@@ -281,6 +281,7 @@ def test_a_participant_is_joined_once(kept):
         ({"assumptions": {"atention_cost": 0.1}}, "did you mean 'attention_cost'"),
         ({"conditions": ["C1", ("C2", None)]}, "'C2' must be a name of its own"),
         ({"conditions": ["C1", ("in turns",)]}, r"a rule is a pair .*, got \('in turns',\)"),
+        ({"conditions": {"C1", "C4"}}, "conditions must be a list of names"),
         ({"conditions": ["C1", "a/b"]}, "must be names without /, got .*'a/b'"),
     ],
 )

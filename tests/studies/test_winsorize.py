@@ -36,8 +36,10 @@ def test_rules_by_hand(rule, limits, changed):
     expected = [*limits, len(changed)]
     assert found.limits.loc[0, ["low", "high", "changed"]].tolist() == approx(expected)
     assert dict(found.changes[["subject", "new"]].to_numpy()) == approx(changed)
-    assert found.apa().startswith("[synthetic data] 1 of 10 values was winsorized (a, subject")
-    assert "None of 3 values" in of_values([1, 2, 3], **rule).apa()
+    assert found.apa().startswith(
+        "[synthetic data] Values winsorized: 1 of 10 (a, subject 9). Rule"
+    )
+    assert "0 of 3. Rule" in of_values([1, 2, 3], **rule).apa()
 
 
 @given(
@@ -59,9 +61,19 @@ def test_order_is_kept_inner_values_are_not_touched(values, outside, to):
     np.testing.assert_array_equal(found.changes[["subject", "old", "new"]], changed)
 
 
+def test_conditions_may_be_pairs():
+    """An error of pandas came."""
+    frame = drawn()
+    pairs = frame.assign(mode=[(mode, 1) for mode in frame["mode"]])
+    rule = {"outside": "sd", "k": 1.0, "to": "next"}
+    found, same = (winsorize(each, **COLUMNS, **rule) for each in (pairs, frame))
+    assert found.data["score"].equals(same.data["score"])
+    assert found.changes["condition"].tolist() == [(mode, 1) for mode in same.changes["condition"]]
+
+
 def test_two_rows_of_a_cell_and_two_roles_of_a_column_are_refused():
-    """They counted twice, and moved the limits."""
+    """They counted twice, and moved the limits; later they were said to be in `frame`."""
     frame = drawn().assign(mode="a")
-    for dv, message in (("score", "more than one row for a cell"), ("person", "must be different")):
+    for dv, message in (("score", "^dv: there is more than one row"), ("person", "must be diff")):
         with refused(message):
             winsorize(frame, **COLUMNS | {"dv": dv}, outside="sd", k=2.0, to="limit")

@@ -48,7 +48,7 @@ def test_p_values(p, text):
     assert apa_p(p) == text
 
 
-HEADS = {"p_holm": "p (Holm)", "se": "standard error"}
+HEADS = {"p_holm": "p (Holm)", "se": "standard error", "mean": "M", "ci_low": "95% CI low"}
 
 
 @parametrize(
@@ -66,6 +66,8 @@ HEADS = {"p_holm": "p (Holm)", "se": "standard error"}
             "estimate": {1.23456: "1.235", 2.0: "2.00"},  # as their standard errors
             "se": {0.0123: "0.012", 0.2: "0.20"},
         },
+        # Without the other limit an error of pandas came.
+        {"mean": {1.234: "1.23"}, "ci_low": {0.5: "0.50"}},
         # One measure without a test made "n 10.00, df1 1.00" of the others.
         {"n": {10.0: "10", np.nan: ""}, "df1": {1.0: "1", np.nan: ""}},
         # A Bayes factor of 0.0004 beside greater ones was 0.00.

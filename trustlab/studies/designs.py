@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import flag, of_class, spawned, warn, whole_number, whole_seed
+from trustlab.models.checks import flag, spawned, warn, whole_number, whole_seed
 from trustlab.models.display import Result
 from trustlab.studies.table import labels_of, roles_of
 
@@ -134,18 +134,20 @@ def design_balance(
     >>> tl.design_balance(orders).balanced
     True
     """
-    of_class("orders", orders, pd.DataFrame)
-    roles_of(orders, participant=[participant], position=[position], condition=[condition])
+    roles_of(
+        "orders", orders, participant=[participant], position=[position], condition=[condition]
+    )
     labels = labels_of("condition", orders[condition].drop_duplicates(), 2)
     rows = orders.reset_index(drop=True).sort_values(position)
-    lists = rows.groupby(participant, sort=False)[[position, condition]].agg(list)
+    people = rows.groupby(participant, sort=False)
+    lists = people[[position, condition]].agg(list)
     for label, places, names in lists.itertuples():
         if {*names} != {*labels} or places != [*range(1, len(labels) + 1)]:
             raise ValueError(
                 f"participant {label!r} had {names} at {places}; each of {[*labels]} is needed "
                 "once, at positions 1, 2 …"
             )
-    after, before = rows[condition], rows.groupby(participant)[condition].shift()
+    after, before = rows[condition], people[condition].shift()
     places = pd.crosstab(after, rows[position])
     follows = pd.crosstab(before, after).reindex(index=places.index, columns=places.index)
     # Nothing follows itself.

@@ -434,10 +434,9 @@ def matrices_of(formula: str, frame: pd.DataFrame) -> tuple[np.ndarray, pd.DataF
     frame = frame.astype(dict.fromkeys(numbers, float))
     for name in frame:
         column = column_of(frame, "data", name)
-        if isinstance(column.dtype, pd.CategoricalDtype):
-            frame[name] = column.cat.remove_unused_categories()
-        elif isinstance(column.dtype, pd.StringDtype):
-            frame[name] = column.astype(object)  # formulaic knows only some kinds of text
+        # Formulaic knows only some kinds of text, and counts categories without rows as levels.
+        if isinstance(column.dtype, pd.CategoricalDtype | pd.StringDtype):
+            frame[name] = column.astype("category").cat.remove_unused_categories()
     try:
         # A missing label would be zeros, as if it were the reference level.
         matrices = model_matrix(formula, frame, na_action="drop")

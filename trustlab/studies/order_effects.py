@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import of_class
 from trustlab.studies.anova import Design
 from trustlab.studies.pairs import compared, level_pairs
 from trustlab.studies.table import (
@@ -126,8 +125,7 @@ def order_effects(
     3                    carry_over    4   28
     4  condition_without_carry_over    4   32
     """
-    of_class("frame", frame, pd.DataFrame, "a table of pandas with a row per subject and position")
-    roles_of(frame, position=[position], condition=[condition])
+    roles_of("frame", frame, position=[position], condition=[condition])
     factors = [position, condition]
     table, levels, _ = read_factors(frame, dv, factors, subject, order={condition: order})
     labels, places = levels[condition], levels[position]
@@ -136,31 +134,30 @@ def order_effects(
     if list(places) != list(range(1, k + 1)):
         raise ValueError(f"position: column {position!r} must hold 1 to {k}, got {list(places)}")
     rows = table.reset_index(drop=True).sort_values([subject, position])
-    codes = rows[condition].cat.codes.to_numpy().reshape(n, k)
-    conditions = np.eye(len(labels))[codes]
-    # Before the first position there is nothing to carry over.
-    carried = np.pad(conditions[:, :-1] - 1.0 / len(labels), ((0, 0), (1, 0), (0, 0)))
+    codes = rows[condition].cat.codes.to_numpy()
     direct = {
-        "condition": conditions.reshape(n * k, -1),
+        "condition": np.eye(len(labels))[codes],
         "position": np.tile(np.eye(k), (n, 1)),
         "subject": np.repeat(np.eye(n), k, axis=0),
     }
-    full = direct | {"carry_over": carried.reshape(n * k, -1)}
-    y = (scores - scores.mean(axis=None)).to_numpy()
-    error, df = _residual(y.ravel(), full)
+    carried = np.roll(direct["condition"], 1, axis=0) - 1.0 / len(labels)
+    carried[::k] = 0.0  # before the first position there is nothing to carry over
+    full = direct | {"carry_over": carried}
+    y = (scores - scores.mean(axis=None)).to_numpy().ravel()
+    error, df = _residual(y, full)
     noise = y.size * (ROUNDING * np.abs(scores).max(axis=None)) ** 2
     if df == 0 or error <= noise:
         raise ValueError(f"dv: {y.size} scores leave no error variance beside all effects")
-    sequence = np.unique(codes, axis=0, return_inverse=True)[1]
+    sequence = np.unique(codes.reshape(n, k), axis=0, return_inverse=True)[1]
     between = {"mean": np.ones((n, 1)), "sequence": np.eye(sequence.max() + 1)[sequence]}
     tests = [
-        _test("sequence", y.sum(axis=1) / np.sqrt(k), between, noise),
-        *(_test(name, y.ravel(), full, noise) for name in ("position", "condition", "carry_over")),
-        _test("condition", y.ravel(), direct, noise) | {"effect": "condition_without_carry_over"},
+        _test("sequence", y.reshape(n, k).sum(axis=1) / np.sqrt(k), between, noise),
+        *(_test(name, y, full, noise) for name in ("position", "condition", "carry_over")),
+        _test("condition", y, direct, noise) | {"effect": "condition_without_carry_over"},
     ]
     separable = y.size - df == n + k - 1 + 2 * (len(labels) - 1)
     parts, design = full if separable else direct, Design(n, {condition: labels})
-    pairs, origin = _differences(y.ravel(), parts, design), origin_of(frame)
+    pairs, origin = _differences(y, parts, design), origin_of(frame)
     return OrderEffects(dv, scores, labelled(pd.DataFrame(tests), origin), labelled(pairs, origin))
 
 

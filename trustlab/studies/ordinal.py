@@ -33,6 +33,7 @@ from trustlab.studies.table import (
     numbers_of,
     origin_of,
     read_factors,
+    refuse_shared,
     roles_of,
 )
 from trustlab.studies.words import apa_number, apa_p, interval
@@ -195,6 +196,7 @@ class OrdinalModel(FormulaModel):
         """
         from statsmodels.tools.numdiff import approx_fprime
 
+        refuse_shared(self.cells.index.names, ["category", "probability", "ci_low", "ci_high"])
         point = self.coefficients["estimate"].to_numpy()
         sd = np.sqrt(self.variances["Intercept"])
 
@@ -312,7 +314,7 @@ def ordinal_model(
         raise ValueError(f"subject: column {subject!r} has {n} people; at least 3 needed")
     answers, categories = _categories(label_column(table, "dv", dv))
     factors, covariates = groups | inside, names_of(covariates)
-    roles_of(table, dv=[dv], factors=[*factors], subject=[subject], covariates=covariates)
+    roles_of("frame", table, dv=[dv], factors=[*factors], subject=[subject], covariates=covariates)
     for name in covariates:
         numbers_of(table[name], "covariates")
     if {"0", "1"} & {*map(str, (dv, *factors, *covariates))}:

@@ -188,7 +188,8 @@ def equivalence(
     if alpha >= 0.5:
         raise ValueError(f"alpha must be below 0.5, as the interval has 1 − 2 alpha, got {alpha}")
     result = repeated_measures(frame, dv, within, subject, order=order, missing=missing)
-    pairs, df = _tested(result, 1.0 - 2.0 * alpha), result.n - 1
+    level = 1.0 - 2.0 * alpha
+    pairs, df = _tested(result, level), result.n - 1
     mean = pairs["mean_difference"]
     error = (pairs["ci_high"] - mean) / special.stdtrit(df, 1.0 - alpha)
     t_low, t_high = (mean + bound) / error, (mean - bound) / error
@@ -210,7 +211,6 @@ def equivalence(
         ci_high=pairs["ci_high"],
         equivalent=p < alpha,
     )
-    level = pairs.attrs["confidence"]
     return labelled(table, result.origin, excluded=result.excluded, confidence=level)
 
 

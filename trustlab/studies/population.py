@@ -3,6 +3,7 @@
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -275,26 +276,20 @@ def population_of(
                 f"mean must be indexed by {', '.join(map(str, factors))}, in this order, got "
                 f"{named}"
             )
-        for cell in means.index[means.index.duplicated()]:
-            raise ValueError(f"mean: cell {cell!r} occurs twice")
         levels = {name: (*means.index.unique(i),) for i, name in enumerate(factors)}
-        means, rows = means.reindex(pd.MultiIndex.from_product(levels.values())), means.index
-        for cell in means.index[means.isna()]:
-            raise ValueError(f"mean: no number for cell {cell!r} of {factors}")
-        if not known and not rows.equals(means.index):
+        if [*means.index] != [*product(*levels.values())]:
             raise ValueError(
-                "covariance is an array in the order of mean: list the cells of mean with the last "
-                "factor varying fastest, or name the rows and columns of covariance"
+                f"mean must have each cell of {factors} once, with the last factor varying "
+                f"fastest: {[*product(*levels.values())]}, got {[*means.index]}"
             )
         between = {name: levels.pop(name) for name in names_of(columns.between)}
     labels = cells_of(levels)
     if known:
-        if unknown := [name for name in labels if name not in known]:
-            raise ValueError(f"mean names {unknown}, but the covariance is that of {known}")
-        if {*covariance.columns} != {*known}:
+        both = [name for name in known if name in covariance.columns]
+        if unknown := [name for name in labels if name not in both]:
             raise ValueError(
-                f"covariance has the columns {[*covariance.columns]}; name them as its rows: "
-                f"{known}"
+                f"mean names {unknown}, but the covariance is that of {both}, the names of its "
+                "rows and columns"
             )
         covariance = covariance.loc[labels, labels]
     groups = means.to_numpy().reshape(math.prod(map(len, between.values())), -1)

@@ -4,7 +4,6 @@ conditions, and the smallest n that reaches a power.
 """
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -133,42 +132,48 @@ def clopper_pearson(count: ArrayLike, total: int, level: float = 0.95) -> tuple[
 
 def simulated(
     population: Conditions, n: int, simulation: Simulation, claims: np.ndarray | None
-) -> dict[tuple[str, str], dict[str, float]]:
+) -> tuple[pd.DataFrame, pd.DataFrame | None]:
     """
-    Draw studies from a normal population, and return power and its interval by effect and test.
+    Draw studies from a normal population, and return power and its interval: of F by effect and
+    test, its correction; of claimed pairs, if there are any, by what is found and adjust.
 
-    The test is a correction of F, or an adjustment of pairs; of claimed pairs the effect is "pairs"
-    where all are significant, and "claims" where they are so in the population's direction, and F
-    as well.
+    "pairs" are found where all are significant, "claims" where they are so in the population's
+    direction, and F as well.
     """
     # By n alone: all populations of a size share their draws, which makes them easier to compare.
     rng = np.random.default_rng(SeedSequence(simulation.seed, spawn_key=(n,)))
     shape = (n * population.groups, len(population.labels))
-    counts: Counter = Counter()
+    rejected, found = [], []
     # In parts, so that memory does not grow with the number of studies.
     step = max(1, SCORES // math.prod(shape))
     for first in range(0, simulation.replicates, step):
         size = (min(step, simulation.replicates - first), *shape)
         scores, design = population.study(rng.standard_normal(size))
-        tests = effects(scores, design)[[*TESTS.values()]]
-        hits = (tests.to_numpy() < simulation.alpha).reshape(len(scores), -1).sum(axis=0)
-        names = product(map(effect_name, design.hypotheses), TESTS)
-        counts.update(dict(zip(names, hits, strict=True)))
+        tests = effects(scores, design)[[*TESTS.values()]] < simulation.alpha
+        rejected.append(tests.to_numpy().reshape(len(scores), -1).sum(axis=0))
         if claims is None:
             continue
         _, *weights = level_pairs(design, *design.within)
         difference, se, _ = differences(regress(scores, design), *weights)
         p = 2.0 * special.stdtr(n - 1, -np.abs(difference / se))
         right = difference * (population.mean @ weights[1]) > 0.0
-        right &= tests[[TESTS[USUAL_TEST]]].to_numpy() < simulation.alpha
-        for test, adjusted in ADJUSTMENTS.items():
-            found = adjusted(p) < simulation.alpha
-            counts["pairs", test] += found[:, claims].all(axis=1).sum()
-            counts["claims", test] += (found & right)[:, claims].all(axis=1).sum()
-    total = pd.Series(counts)
-    low, high = clopper_pearson(total, simulation.replicates, simulation.level)
-    shares = {"power": total / simulation.replicates, "ci_low": low, "ci_high": high}
-    return pd.DataFrame(shares).to_dict("index")
+        right &= tests[[TESTS[USUAL_TEST]]].to_numpy()
+        pairs = np.array([adjusted(p) < simulation.alpha for adjusted in ADJUSTMENTS.values()])
+        hits = np.array([pairs, pairs & right])[..., claims].all(axis=-1)
+        found.append(hits.sum(axis=-1).ravel())
+    names = {"effect": map(effect_name, design.hypotheses), "test": TESTS}
+    of_claims = {"found": ["pairs", "claims"], "adjust": ADJUSTMENTS}
+    return (
+        _shares(sum(rejected), simulation, names),
+        _shares(sum(found), simulation, of_claims) if found else None,
+    )
+
+
+def _shares(hits: Any, simulation: Simulation, names: dict[str, Any]) -> pd.DataFrame:
+    """Return the shares of hits and their intervals, a row for each combination of names."""
+    low, high = clopper_pearson(hits, simulation.replicates, simulation.level)
+    columns = {"power": hits / simulation.replicates, "ci_low": low, "ci_high": high}
+    return pd.DataFrame(columns, pd.MultiIndex.from_product(names.values(), names=names))
 
 
 def exact_tests(population: Conditions, n: int, alpha: float) -> pd.DataFrame:
@@ -180,23 +185,22 @@ def exact_tests(population: Conditions, n: int, alpha: float) -> pd.DataFrame:
     # Orthogonal noise: the covariance within a group is the population's.
     noise = np.tile(np.sqrt(k) * orthonormal_contrasts(k + 1), (population.groups, 1))
     scores, design = population.study(noise)
-    tests = effects(scores[None], design).reset_index("effect")
-    df1, df2 = tests["df1"], tests["df2"] * (n - 1) / k
+    tests = effects(scores[None], design).loc[0].reset_index()
+    df1, df2, epsilon = tests["df1"], tests["df2"] * (n - 1) / k, tests["epsilon_gg"]
     strength = tests["F"] * df1 * n / (k + 1)
     strength = strength.where(strength > 1e-12, 0.0)  # less is the rounding of no effect
     critical = special.fdtri(df1, df2, 1.0 - alpha)
     power = 1.0 - special.ncfdtr(df1, df2, strength, critical)
-    return pd.DataFrame(
-        {
-            "n": n,
-            "effect": tests["effect"],
-            "effect_size": strength / (strength + tests["df2"] * n / k),
-            "correlation": population.correlation,
-            "epsilon": tests["epsilon_gg"],
-            "noncentrality": strength,
-            "closed_form": power.where(tests["epsilon_gg"] > 1.0 - 1e-9),
-        }
-    )
+    columns = {
+        "n": n,
+        "effect": tests["effect"],
+        "effect_size": strength / (strength + tests["df2"] * n / k),
+        "correlation": population.correlation,
+        "epsilon": epsilon,
+        "noncentrality": strength,
+        "closed_form": power.where(epsilon > 1.0 - 1e-9),
+    }
+    return pd.DataFrame(columns)
 
 
 def claims_mask(argument: str, claims: Any, population: Conditions) -> np.ndarray | None:
@@ -253,8 +257,8 @@ class PowerAnalysis(Tested):
         Returns
         -------
         pandas.DataFrame
-            A row per cell and adjustment: n, effect_size, epsilon, adjust, claims (how many
-            pairs), power, ci_low, ci_high. No rows without claims.
+            A row per cell and adjustment: n, effect_size, epsilon, adjust, power, ci_low, ci_high,
+            claims (how many pairs). No rows without claims.
         """
         return self.together.copy()
 
@@ -298,17 +302,16 @@ class PowerAnalysis(Tested):
             one_of("test", name, TESTS)
         # Values as computed differ in the last bits between the cells of one line.
         table = self.tests.round(9)
-        of_effects = len({*table["effect"]}) > 1
-        counts = table[["n", *(["effect"] if of_effects else ["effect_size", "epsilon"])]].nunique()
+        several = len({*table["effect"]}) > 1
+        counts = table[["n", "effect"] if several else ["n", "effect_size", "epsilon"]].nunique()
         against, *others = [*counts.index[counts > 1]] or ["n"]
-        table = table.sort_values(against, kind="stable")
+        table = table[table["test"].isin(tests)].sort_values(against, kind="stable")
         axes = axes_or_new(axes, figsize=(6.0, 3.8))
-        for values, part in table[table["test"].isin(tests)].groupby([*others, "test"]):
-            power = part["power"]
+        for values, part in table.groupby([*others, "test"]):
+            x, power, label = part[against], part["power"], ", ".join(map(str, values))
             ends = [power - part["ci_low"], part["ci_high"] - power]
-            style = {"fmt": "o-", "capsize": 3, "label": ", ".join(map(str, values))}
-            drawn = axes.errorbar(part[against], power, ends, **style)
-            axes.plot(part[against], part["closed_form"], "x", ms=8, color=drawn[0].get_color())
+            drawn = axes.errorbar(x, power, ends, fmt="o-", capsize=3, label=label)
+            axes.plot(x, part["closed_form"], "x", ms=8, color=drawn[0].get_color())
         axes.set(xlabel=AXES[against], ylabel="power of F", ylim=(-0.02, 1.02))
         axes.set_title(f"{self.origin}; level {self.simulation.alpha:g}", fontsize="small")
         axes.legend(fontsize="small", title=", ".join([*map(AXES.get, others), "test"]))
@@ -388,31 +391,28 @@ def power_analysis(
     mask = claims_mask("claims", claims, population)
     # None, a text or a dict are one value, which is refused where it is used.
     grid: Any = [value if np.ndim(value) else [value] for value in (n, effect_size, epsilon)]
-    rows, together = [], []
+    tables, together = [], [pd.DataFrame()]
     for size, eta2, eps in product(*grid):
         size = whole_number("n", size, least=3, most=MOST_N)
         people = population if eps is None else population.with_epsilon(eps)
         people = people if eta2 is None else people.with_effect(eta2)
-        shares = simulated(people, size, simulation, mask)
-        for where in exact_tests(people, size, simulation.alpha).to_dict("records"):
-            closed = {"none": where.pop("closed_form")}
-            for test in TESTS:
-                row = where | {"test": test} | shares[where["effect"], test]
-                row["replicates"] = simulation.replicates
-                rows.append(row | {"closed_form": closed.get(test, np.nan)})
-        if mask is not None:
-            where = {name: where[name] for name in ("n", "effect_size", "epsilon")}
-            together += [
-                where | {"adjust": test, "claims": len(claims)} | shares["claims", test]
-                for test in ADJUSTMENTS
-            ]
-    if not rows:
+        of_f, of_claims = simulated(people, size, simulation, mask)
+        exact = exact_tests(people, size, simulation.alpha)
+        table = exact.merge(of_f.reset_index(), on="effect")
+        closed = table.pop("closed_form").where(table["test"] == "none")
+        tables.append(table.assign(replicates=simulation.replicates, closed_form=closed))
+        if of_claims is not None:
+            claimed = of_claims.loc["claims"].reset_index().assign(claims=len(claims))
+            together.append(exact[["n", "effect_size", "epsilon"]].merge(claimed, how="cross"))
+    if not tables:
         raise ValueError("n, effect_size or epsilon is empty: give a number")
-    tables = [
-        labelled(pd.DataFrame(each), population.simulated_origin, confidence=simulation.level)
-        for each in (rows, together)
-    ]
-    return PowerAnalysis(population, simulation, *tables)
+    origin, level = population.simulated_origin, simulation.level
+    return PowerAnalysis(
+        population,
+        simulation,
+        labelled(pd.concat(tables, ignore_index=True), origin, confidence=level),
+        labelled(pd.concat(together, ignore_index=True), origin, confidence=level),
+    )
 
 
 # --- the smallest n -------------------------------------------------------------------------------
@@ -540,7 +540,8 @@ def smallest_n(
 
     @cache
     def found(n: int) -> dict[str, float]:
-        return simulated(population, n, simulation, mask)[effect, test]
+        of_f, of_pairs = simulated(population, n, simulation, mask)
+        return (of_f if of_pairs is None else of_pairs).loc[(effect, test)].to_dict()
 
     low, high = 2, 3
     while found(high)["power"] < target:

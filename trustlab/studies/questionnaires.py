@@ -91,7 +91,7 @@ class Questionnaire:
         of_class("source", self.source, str)
         of_class("subscales", self.subscales, dict)
         items = labels_of("items", self.items, 1)
-        for name, part in {"reversed": self.reversed, **self.subscales}.items():
+        for name, part in [("reversed", self.reversed), *self.subscales.items()]:
             if unknown := {*labels_of(name, part, name in self.subscales)} - {*items}:
                 raise ValueError(f"{name}: {unknown.pop()!r} is none of the items {items}")
         low, high = in_order("low", self.low, "high", self.high)
@@ -305,9 +305,13 @@ def score(
         table, ends, kind = 100.0 * (table - low) / (high - low), 100.0, "raw"
     whole, turned = table.copy(), [*questionnaire.reversed]
     whole[turned] = ends - whole[turned]
-    own = {f"{name}_{kind}" for kind in ("mean", "sum", "raw", "weighted")}
-    for part in {*questionnaire.subscales} & {*own, *table.index.names}:
-        raise ValueError(f"subscales: {part!r} is another column of the scores; rename it")
+    columns = [f"{name}_{kind}" for kind in ("mean", "sum", "raw", "weighted")]
+    columns += [*questionnaire.subscales, *table.index.names]
+    for column in columns:
+        if columns.count(column) > 1:
+            raise ValueError(
+                f"answers or subscales: {column!r} is another column of the scores; rename it"
+            )
     coded = {f"{name}_{kind}": whole}
     coded |= {part: table[[*items]] for part, items in questionnaire.subscales.items()}
     scores = {part: items.mean(axis=1) for part, items in coded.items()}
@@ -330,7 +334,7 @@ def score(
                 "choices between pairs: six whole numbers from 0 to 5 with the sum 15 (nan: the "
                 "subject has none)"
             )
-        scores[f"{name}_weighted"] = (w * whole).sum(axis=1) / w.sum(axis=1)
+        scores[f"{name}_weighted"] = (w * whole).sum(axis=1) / 15.0
     result = labelled(pd.DataFrame(scores).reset_index(), origin_of(answers))
     return ScaleScores(questionnaire, result, coded)
 
@@ -344,10 +348,9 @@ def _read(
     argument: str, frame: pd.DataFrame, items: Sequence[str], subject: str, condition: str | None
 ) -> pd.DataFrame:
     """Return a column of numbers per item; subject and condition are the index."""
-    of_class(argument, frame, pd.DataFrame)
     named = [] if condition is None else [condition]
-    roles_of(frame, subject=[subject], condition=named, **{argument: [*items]})
-    index = pd.MultiIndex.from_arrays([frame[name] for name in (subject, *named)])
+    roles_of(argument, frame, subject=[subject], condition=named, **{argument: [*items]})
+    index = pd.MultiIndex.from_frame(frame[[subject, *named]])
     if index.has_duplicates:
         raise ValueError(
             f"{argument} must have one row per subject, or per subject and condition= if there are "
@@ -386,8 +389,7 @@ def tlx_weights(
     ValueError
         Naming the subject whose choices are not one for each pair, or lie outside the pair.
     """
-    of_class("choices", choices, pd.DataFrame)
-    roles_of(choices, subject=[subject], first=[first], second=[second], chosen=[chosen])
+    roles_of("choices", choices, subject=[subject], first=[first], second=[second], chosen=[chosen])
     items, rows = NASA_TLX.items, []
     for label, part in choices.groupby(choices[subject], sort=False):
         triples = part[[first, second, chosen]].itertuples(index=False)
@@ -463,12 +465,9 @@ def cronbach_alpha(items: pd.DataFrame) -> Reliability:
     0.946
     """
     of_class("items", items, pd.DataFrame, "a table of pandas with a column per item")
-    origin, items = (
-        origin_of(items),
-        pd.DataFrame(
-            {item: numbers_of(label_column(items, "items", item), "items") for item in items}
-        ),
-    )
+    origin = origin_of(items)
+    answers = {item: numbers_of(label_column(items, "items", item), "items") for item in items}
+    items = pd.DataFrame(answers)
     row = _alpha(items)
     if np.isnan(row["alpha"]):
         raise ValueError(

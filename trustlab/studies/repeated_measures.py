@@ -31,6 +31,7 @@ from trustlab.studies.table import (
     origin_of,
     read_cells,
     read_factors,
+    refuse_shared,
 )
 from trustlab.studies.words import apa_report
 
@@ -110,35 +111,22 @@ class RepeatedMeasures(Tested):
             two 95 % intervals of the mean: ci_low and ci_high between subjects, ci_low_within and
             ci_high_within after Cousineau and Morey.
         """
-        whole, parts = self.scores.to_numpy(), []
-        for number in range(self.design.combinations):
-            scores = whole[self.design.group == number]
-            n, k = scores.shape
-            mean, sd = scores.mean(axis=0), scores.std(axis=0, ddof=1)
-            # Removing the subjects' means (Cousineau, 2005) leaves the spread that a comparison
-            # within subjects sees; the factor (Morey, 2008) compensates for the variance that this
-            # removes.
-            inside = scores - scores.mean(axis=1, keepdims=True)
-            within = inside.std(axis=0, ddof=1) * np.sqrt(k / (k - 1.0))
-            half = special.stdtrit(n - 1, 0.975) / np.sqrt(n)
-            stats = {
-                "n": n,
-                "mean": mean,
-                "sd": sd,
-                "se": sd / np.sqrt(n),
-                "median": np.median(scores, axis=0),
-                "minimum": scores.min(axis=0),
-                "maximum": scores.max(axis=0),
-                "ci_low": mean - half * sd,
-                "ci_high": mean + half * sd,
-                "ci_low_within": mean - half * within,
-                "ci_high_within": mean + half * within,
-            }
-            parts.append(pd.DataFrame(stats))
-        table = pd.concat(parts, ignore_index=True)
+        k = self.scores.shape[1]
+        scores = self.scores.set_axis(range(k), axis=1)
+        # Removing the subjects' means (Cousineau, 2005) leaves the spread that a comparison within
+        # subjects sees; the factor (Morey, 2008) compensates for the variance that this removes.
+        inside = scores.sub(scores.mean(axis=1), axis=0) * np.sqrt(k / (k - 1.0))
+        group = np.broadcast_to(self.design.group, len(scores))
+        table = scores.groupby(group).agg(["count", "mean", "std", "sem", "median", "min", "max"])
+        table = table.stack(0, future_stack=True).reset_index(drop=True)  # noqa: PD013
+        table.columns = ["n", "mean", "sd", "se", "median", "minimum", "maximum"]
+        within = inside.groupby(group).sem().to_numpy().ravel()
+        half = special.stdtrit(table["n"] - 1, 0.975)
+        for end, se in {"": table["se"], "_within": within}.items():
+            table[f"ci_low{end}"] = table["mean"] - half * se
+            table[f"ci_high{end}"] = table["mean"] + half * se
         names = ["condition"] if self.one_way else [*self.between, *self.within]
-        for name in {*names} & {*table}:
-            raise ValueError(f"{name!r} is the name of a factor and of a statistic; rename it")
+        refuse_shared(names, table)
         cells = [*product(*self.between.values(), *self.within.values())]
         return labelled(pd.DataFrame(cells, columns=names, dtype=object).join(table), self.origin)
 
@@ -221,10 +209,11 @@ class RepeatedMeasures(Tested):
         self._refuse_several_factors("friedman()")
         import pingouin
 
-        names = {"Q": "chi2", "ddof1": "df", "p_unc": "p", "W": "kendall_w"}
         # A wide table: a row per subject.
-        test = pingouin.friedman(pd.DataFrame(self.scores.to_numpy()))[[*names]]
-        return labelled(test.rename(columns=names).reset_index(drop=True), self.origin)
+        test = pingouin.friedman(pd.DataFrame(self.scores.to_numpy()))
+        names = ["chi2", "df", "p", "kendall_w"]
+        table = test[["Q", "ddof1", "p_unc", "W"]].set_axis(names, axis=1)
+        return labelled(table.reset_index(drop=True), self.origin)
 
     def assumptions(self) -> pd.DataFrame:
         """
@@ -236,15 +225,16 @@ class RepeatedMeasures(Tested):
             Columns p_shapiro_least (of all pairs' differences), pairs_not_normal (p below alpha
             after Holm's adjustment), p_anova (corrected), friedman_chi2, p_friedman, kendall_w.
         """
-        p = self.normality()["p"]
+        p, ranks = self.normality()["p"], self.friedman().loc[0]
         row = {
             "p_shapiro_least": p.min(),
             "pairs_not_normal": (pairs.holm(p.to_numpy()) < self.alpha).sum(),
             "p_anova": self.p_corrected,
+            "friedman_chi2": ranks["chi2"],
+            "p_friedman": ranks["p"],
+            "kendall_w": ranks["kendall_w"],
         }
-        ranks = self.friedman().drop(columns="df")
-        ranks = ranks.rename(columns={"chi2": "friedman_chi2", "p": "p_friedman"})
-        return labelled(pd.DataFrame([row]).join(ranks), self.origin)
+        return labelled(pd.DataFrame([row]), self.origin)
 
     def apa(self, adjust: str = "holm") -> str:
         """
@@ -389,21 +379,20 @@ def repeated_measures(
         x = numbers_of(people[name], "covariates")
         numbers[name] = (x - x.mean()) / (x.std() or 1.0)
     design = Design(len(people), levels, groups, group, numbers)
-    columns = design.matrix.shape[1]
-    if np.linalg.matrix_rank(design.matrix) < columns or design.df_error < 1:
+    parameters = design.matrix.shape[1]
+    if np.linalg.matrix_rank(design.matrix) < parameters or design.df_error < 1:
         raise ValueError(
             f"{'covariates' if covariates else 'between'}: effects of {[*groups, *numbers]} are "
             "not defined: some combination of groups has no participant, a covariate follows from "
-            f"them, or {columns} parameters are too many for {design.n} participants"
+            f"them, or {parameters} parameters are too many for {design.n} participants"
         )
     tests = effects(scores.to_numpy()[None], design).loc[0].reset_index()
-    corrected, origin = _corrected(tests, design, correction), origin_of(frame)
-    tests = tests.assign(**corrected, alpha=alpha, excluded=len(excluded), origin=origin)
-    tests.insert(0, "dv", [dv] * len(tests))
-    tests.insert(1, "within", effect_name(levels))
-    tests.insert(3, "n", design.n)
-    tests.insert(4, "k", scores.shape[1])
-    return RepeatedMeasures(scores, design, labelled(tests, origin), excluded, correction)
+    # A name of the first line that comes again keeps its place.
+    columns = {"dv": [dv] * len(tests), "within": effect_name(levels), "effect": "", "n": design.n}
+    columns |= {"k": scores.shape[1], **tests, **_corrected(tests, design, correction)}
+    columns |= {"alpha": alpha, "excluded": len(excluded), "origin": origin_of(frame)}
+    tests = labelled(pd.DataFrame(columns), origin_of(frame))
+    return RepeatedMeasures(scores, design, tests, excluded, correction)
 
 
 def _corrected(tests: pd.DataFrame, design: Design, correction: str) -> dict[str, Any]:

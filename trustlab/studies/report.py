@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from trustlab.allocation.thresholds import ThresholdChoice
 from trustlab.models.checks import of_class, one_of, shown
 from trustlab.models.display import Result
 from trustlab.models.extras import extra
@@ -94,7 +95,7 @@ class StudyReport(Result):
             for title, table in self.tables.items()
         }
         if kind == ".html":
-            parts = [f"<p>{html.escape(self.message)}</p>"] if self.message else []
+            parts = ['<meta charset="utf-8">', f"<p>{html.escape(self.message)}</p>"]
             for number, (title, table) in enumerate(tables.items(), start=1):
                 caption = f"<p><b>Table {number}</b><br><i>{html.escape(title)}</i></p>"
                 parts += [caption, table.to_html(index=False, border=0)]
@@ -148,7 +149,8 @@ def report(
     Raises
     ------
     ValueError
-        As `repeated_measures` does, or if there is neither a measure to analyse nor a result.
+        As `repeated_measures` does, if there is neither a measure to analyse nor a result, or if
+        thresholds are given beside other results than fits.
 
     Examples
     --------
@@ -174,7 +176,7 @@ def report(
         labels = ["condition"] if result.one_way else [*result.between, *result.within]
         tables = {
             "Descriptive statistics": result.descriptives()[[*labels, *DESCRIBED]],
-            "Analysis of variance": _to_print(result),
+            "Analysis of variance": result.tests[TESTED],
         }
         for factor in (*result.within, *result.between):
             of_factor = "" if result.one_way else f" of {factor}"
@@ -199,12 +201,6 @@ def _table_of(result: Any) -> pd.DataFrame:
     return result.table()
 
 
-def _to_print(result: Any) -> pd.DataFrame:
-    """Return what is printed of a result: its table, of an analysis of variance part of it."""
-    table = _table_of(result)
-    return table[TESTED] if isinstance(result, RepeatedMeasures) else table
-
-
 def _side_by_side(
     results: Mapping[Hashable, Any], thresholds: Mapping[Hashable, Any]
 ) -> StudyReport:
@@ -214,23 +210,25 @@ def _side_by_side(
             f"frame is a dict of results, {shown([*results])}, and thresholds must have one for "
             f"each, got {shown([*thresholds])}"
         )
-    whole = pd.concat({name: _table_of(result) for name, result in results.items()}, names=["of"])
+    tables = {name: _table_of(result) for name, result in results.items()}
+    whole = pd.concat(tables, names=["of"])
     origins = {_origin(result, whole) for result in results.values()} - {""}
     said = {name: _sentences(result) for name, result in results.items()}
     text = " ".join(f"{name}: {sentences}" for name, sentences in said.items() if sentences)
-    parts = {name: _to_print(result) for name, result in results.items()}
-    title, table = "Results", pd.concat(parts, names=["of"])
+    analyses = all(isinstance(result, RepeatedMeasures) for result in results.values())
+    title, table = "Results", whole[TESTED] if analyses else whole
     if table.index.names[-1] is None:
         table = table.droplevel(-1)
-    if {"value", "stderr"} <= set(whole):
+    fits = {"value", "stderr"} <= {*whole}
+    if thresholds and not fits:
+        raise ValueError("thresholds are printed beside fits; frame holds other results")
+    if fits:
         title = "Estimates ± standard errors" + (", and thresholds" if thresholds else "")
         rows = []
         for name, fit in results.items():
-            row = {"of": f"{name}{'' if fit.success else ' (the fit failed)'}"}
-            estimates = fit.table()
-            names = estimates.index
-            if "status" in estimates:
-                names = names[estimates["status"] != "derived"]
+            failed = " (the fit failed)" * (not getattr(fit, "success", True))
+            row, estimates = {"of": f"{name}{failed}"}, tables[name]
+            names = estimates.index[estimates.get("status", estimates["value"]) != "derived"]
             # Time constants, in the place of what they are derived from.
             times = {name: f"{name.removesuffix('a')}time_constant" for name in names}
             names = [time if time in estimates.index else name for name, time in times.items()]
@@ -238,7 +236,7 @@ def _side_by_side(
             cells = texts["value"] + " ± " + texts["standard error"]
             row |= dict(zip(map(in_words, names), cells, strict=True))
             if thresholds:
-                choice = thresholds[name]
+                choice = of_class("thresholds", thresholds[name], ThresholdChoice)
                 row["TSC_l"] = apa_number(choice.lower, 3)
                 row["TSC_u"] = apa_number(choice.upper, 3)
                 row["offered"] = "yes" if choice.offered else "no"

@@ -191,11 +191,12 @@ def names_of(names: Columns) -> list[Hashable]:
     return [] if names is None else [names]
 
 
-def roles_of(frame: pd.DataFrame, **columns: list) -> dict[Hashable, str]:
+def roles_of(table: str, frame: pd.DataFrame, **columns: list) -> dict[Hashable, str]:
     """
-    Return the argument that names each column; a column with two is refused, and so is one that
-    lacks a label (of dv it is a score that is missing).
+    Return the argument that names each column of a table, itself called by its argument; a column
+    with two is refused, and so is one that lacks a label (of dv it is a score that is missing).
     """
+    of_class(table, frame, pd.DataFrame, "a table of pandas with a row per subject and condition")
     roles: dict[Hashable, str] = {}
     for argument, names in columns.items():
         for name in names:
@@ -220,13 +221,12 @@ def read_factors(
     within and between subjects. `order` has the levels of a single factor (that within), or of
     several by name.
     """
-    of_class("frame", frame, pd.DataFrame, "a table of pandas with a row per subject and condition")
     within, between, covariates = map(names_of, (within, between, covariates))
     factors = within + between
     if not factors:
         raise ValueError("within and between name no factor")
     columns = {"dv": [dv], "within": within, "between": between, "covariates": covariates}
-    arguments = roles_of(frame, **columns, subject=[subject])
+    arguments = roles_of("frame", frame, **columns, subject=[subject])
     if order is not None and not isinstance(order, dict):
         single = len(within or between) == 1
         order = {factors[0]: order} if single else of_class("order", order, dict)
@@ -266,13 +266,19 @@ def cells_of(levels: Levels) -> list:
     return [cell if len(levels) > 1 else cell[0] for cell in product(*levels.values())]
 
 
+def refuse_shared(factors: Iterable, statistics: Iterable) -> None:
+    """Refuse a factor that has the name of a column beside it."""
+    for name in {*factors} & {*statistics}:
+        raise ValueError(f"{name!r} is the name of a factor and of a statistic; rename it")
+
+
 def one_row_a_cell(table: pd.DataFrame, names: list[Hashable], dv: Hashable) -> None:
     """Refuse a table with two rows of one label in all of these columns."""
     for row in table.index[table.duplicated(names)]:
         raise ValueError(
-            f"frame has more than one row for a cell, such as row {row!r}; average the trials of a "
-            f"cell first: frame[{dv!r}] = frame.groupby({names})[{dv!r}].transform('mean'), then "
-            f"frame.drop_duplicates({names})"
+            f"dv: there is more than one row for a cell, such as row {row!r}; average the trials "
+            f"of a cell first: frame[{dv!r}] = frame.groupby({names})[{dv!r}].transform('mean'), "
+            f"then frame.drop_duplicates({names})"
         )
 
 

@@ -4,7 +4,7 @@ like a lab's.
 """
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -85,7 +85,7 @@ class VirtualStudy(Result):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the measures."""
-        return tuple(name for name in self.measures.columns if name not in KEYS)
+        return tuple(self.measures.columns.drop([*KEYS]))
 
     @property
     def origin(self) -> str:
@@ -143,9 +143,8 @@ class VirtualStudy(Result):
             variance.
         """
         one_of("dv", dv, self.names)
-        if isinstance(conditions, str) or not isinstance(conditions, Iterable | None):
-            raise ValueError(f"conditions must be a list of names, got {shown(conditions)}")
-        compared = list(self.conditions if conditions is None else conditions)
+        given = self.conditions if conditions is None else conditions
+        compared = list_of("conditions", given)
         rows = self.measures.query("condition in @compared")
         scored = rows.loc[rows[dv].notna(), "condition"].unique()
         if lacking := [name for name in compared if name not in scored]:
@@ -350,9 +349,7 @@ def virtual_study(
     failed = done["failed"].to_numpy(dtype=bool)
     if failed.all():
         raise ValueError(f"every participant's run failed; the first: {done['error'].iloc[0]}")
-    settings = {"seed": seed} | bed.settings
-    if assumptions:
-        settings["assumptions"] = dict(assumptions)
+    assumed = {"assumptions": dict(assumptions)} if assumptions else {}
     study = VirtualStudy(
         testbed=bed,
         conditions=names,
@@ -360,7 +357,7 @@ def virtual_study(
         participants=people,
         measures=_tidy(done[~failed], design, names),
         failures=done.loc[failed, ["participant", "error"]].reset_index(drop=True),
-        settings=settings,
+        settings={"seed": seed, **bed.settings} | assumed,
         folder=folder,
     )
     if isinstance(bed, ConditionTestbed):
@@ -376,6 +373,7 @@ def _fitting(testbed: Any, conditions: Any, laps: int | None) -> tuple[Any, tupl
     """Return the testbed with rules of the user's own, and the conditions that it runs."""
     bed = named_testbed(testbed, laps)
     conditions = bed.printed_conditions if conditions is None else conditions
+    # A set has another order, and so other draws, in each process.
     if not isinstance(conditions, list | tuple):
         raise ValueError(f"conditions must be a list of names, got {shown(conditions)}")
     rules: dict[str, Callable] = {}

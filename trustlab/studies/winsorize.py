@@ -7,10 +7,11 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from trustlab.models.checks import of_class, one_of, positive
+from trustlab.models.checks import one_of, positive
 from trustlab.models.display import Result
 from trustlab.studies.table import (
     labelled,
+    labels_index,
     levels_of,
     mark,
     numbers_of,
@@ -71,17 +72,10 @@ class Winsorized(Result):
         """
         Return the sentence for a paper: how many values were changed, of whom, and by which rule.
         """
-        total, origin = int(self.limits["n"].sum()), mark(self.changes.attrs.get("origin", ""))
-        if self.changes.empty:
-            return f"{origin}None of {total} values was winsorized (rule: {self.rule})."
-        parts = []
-        for condition, rows in self.changes.groupby("condition", sort=False):
-            parts.append(f"{condition}, subject {', '.join(map(str, rows['subject']))}")
-        verb = "was" if len(self.changes) == 1 else "were"
-        return (
-            f"{origin}{len(self.changes)} of {total} values {verb} winsorized "
-            f"({'; '.join(parts)}). Rule: {self.rule}."
-        )
+        changes = [f"{row.condition}, subject {row.subject}" for row in self.changes.itertuples()]
+        where = f" ({'; '.join(changes)})" if changes else ""
+        origin, total = mark(origin_of(self.changes)), self.limits["n"].sum()
+        return f"{origin}Values winsorized: {len(changes)} of {total}{where}. Rule: {self.rule}."
 
 
 def winsorize(
@@ -141,13 +135,13 @@ def winsorize(
     words, middle_and_spread = _RULES[one_of("outside", outside, _RULES)]
     one_of("to", to, _TARGETS)
     k = positive("k", k)
-    of_class("data", data, pd.DataFrame, "a table of pandas with a row per subject and condition")
-    roles_of(data, dv=[dv], within=[within], subject=[subject])
+    roles_of("data", data, dv=[dv], within=[within], subject=[subject])
     people, scores, conditions = data[subject], numbers_of(data[dv], "dv"), data[within]
     one_row_a_cell(data, [subject, within], dv)
-    changes, limits = [], []
-    for condition in levels_of(conditions, "within"):
-        rows = np.flatnonzero((conditions == condition) & np.isfinite(scores))
+    changes, limits, levels = [], [], levels_of(conditions, "within")
+    codes = pd.Categorical(conditions.tolist(), labels_index(levels)).codes
+    for number, condition in enumerate(levels):
+        rows = np.flatnonzero((codes == number) & np.isfinite(scores))
         old = scores[rows]
         middle, spread = middle_and_spread(old) if old.size > 2 else (np.nan, np.nan)
         # A spread of 0 where not all values are equal tells nothing.
@@ -160,7 +154,8 @@ def winsorize(
                 f"{old.size} values are too few, or so many are equal that their spread is 0"
             )
         new = np.clip(old, *((low, high) if to == "limit" else (inside.min(), inside.max())))
-        moves = {"subject": people.iloc[rows], "condition": condition, "old": old, "new": new}
+        moves = {"subject": people.iloc[rows], "condition": [condition] * old.size}
+        moves |= {"old": old, "new": new}
         changes.append(pd.DataFrame(moves).query("old != new"))
         limits.append((condition, old.size, low, high, len(changes[-1])))
         scores[rows] = new

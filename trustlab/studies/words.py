@@ -149,7 +149,7 @@ def _rounded(frame: pd.DataFrame, name: str) -> list[str]:
         errors = frame.get("stderr", frame.get("se"))
         if errors is not None:
             sizes = errors  # of each row
-        elif "ci_low" in frame:
+        elif {"ci_low", "ci_high"} <= {*frame}:
             sizes = [(frame["ci_high"] - frame["ci_low"]) / 2.0]
         else:
             sizes = [frame.get("sd", 0.0)]
