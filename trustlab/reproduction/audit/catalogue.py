@@ -11,8 +11,12 @@ import pandas as pd
 from trustlab.models.checks import did_you_mean, shown, whole_number
 from trustlab.models.published import printed_pilot, published_folder
 from trustlab.reproduction.printed import half_unit, printed_interval
-from trustlab.reproduction.published import published_facts, published_table
-from trustlab.reproduction.published_study import PublishedStudy, published_studies
+from trustlab.reproduction.published import (
+    PublishedStudy,
+    published_facts,
+    published_studies,
+    published_table,
+)
 
 PARTICIPANTS = ("1", "2", "3", "4", "5")
 TABLES = ("2.1", "2.2", "2.3", "2.4", "2.5", "2.6", "3.1")
