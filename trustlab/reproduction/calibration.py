@@ -28,11 +28,11 @@ from scipy.spatial import KDTree
 
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import (
-    between,
+    finite_array,
     in_order,
     of_class,
     one_of,
-    shown,
+    table_of,
     whole_number,
     whole_seed,
 )
@@ -70,6 +70,8 @@ TELEOPERATOR_PRIORS = {
 
 # Simulations for every coefficient of the regression, at the least.
 LEAST_PER_COEFFICIENT = 2
+# The share of `Calibration.reach` from which on printed effects are within reach.
+LEAST_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,11 +138,6 @@ class Calibration(Result):
         return tuple(compress(self.priors, self._sampled[1]))
 
     @property
-    def assumptions(self) -> dict[str, float]:
-        """Medians of the posterior, for `simulated_effects`; of `extrapolated` no estimates."""
-        return self.posterior.median().to_dict()
-
-    @property
     def title(self) -> str:
         """The study."""
         return f"Calibration of {self.study}"
@@ -177,15 +174,14 @@ class Calibration(Result):
         Parameters
         ----------
         *measures : str
-            Any that `printed_effects` has of the study, for example "p_r", "r".
+            Any that `printed_effects` has of the study, for example "p_r", "r"; all if none is
+            named.
 
         Raises
         ------
         ValueError
-            If no measure is named, or the simulated studies have no effect of one.
+            If the simulated studies have no effect of a measure.
         """
-        if not measures:
-            raise ValueError(f"name at least one measure, any of {', '.join(self.measures)}")
         return replace(self, measures=measures)
 
     def reach(self) -> pd.DataFrame:
@@ -217,31 +213,22 @@ class Calibration(Result):
         share = (apart >= nearest).mean()
         return " ".join(measures), len(printed), nearest, float(np.median(apart)), share
 
-    def within_reach(self, share: float = 0.05) -> "Calibration":
+    def within_reach(self) -> "Calibration":
         """
-        Return the calibration given as many measures as simulated studies reach at once, of equally
-        many the best reached.
-
-        Parameters
-        ----------
-        share : float
-            The least share of `reach` that counts.
+        Return the calibration given as many measures as simulated studies reach at once, with a
+        share of `reach` of 0.05 or more, of equally many the best reached.
 
         Raises
         ------
         ValueError
             If no measure is within reach.
         """
-        share = between("share", share, 0.0, 1.0)
         for size in range(len(self.measures), 0, -1):
             candidates = [self.given(*measures) for measures in combinations(self.measures, size)]
             shares = [-1.0 if c.extrapolated else c._reach(c.measures)[-1] for c in candidates]
-            if max(shares) >= share:
+            if max(shares) >= LEAST_SHARE:
                 return candidates[int(np.argmax(shares))]
-        raise ValueError(
-            f"no measure of {self.study} is within reach of simulated studies, at a share of "
-            f"{share:g}"
-        )
+        raise ValueError(f"no measure of {self.study} is within reach of simulated studies")
 
     def checks(
         self,
@@ -312,7 +299,6 @@ def calibrate(
     priors: Mapping[str, tuple[float, float]] | None = None,
     out: str | os.PathLike | None = None,
     n_jobs: int = 1,
-    progress: bool | None = None,
 ) -> Calibration:
     """
     Return which assumptions about people reproduce all printed effects of a study at once.
@@ -336,8 +322,8 @@ def calibrate(
     out : path-like, optional
         A folder for the finished simulations: a call with the same arguments goes on where a killed
         one stopped, and one with more simulations runs only those that are new.
-    n_jobs, progress : int, bool, optional
-        As for `run_campaign`; no effect on results.
+    n_jobs : int
+        Processes, as for `run_campaign`; no effect on results.
 
     Returns
     -------
@@ -370,7 +356,7 @@ def calibrate(
     seed = whole_seed(seed)
     _check_enough(simulations, len(effects))
     runs = [{"study": study, "n": n} | draw for draw in prior_draws(ranges, simulations, seed)]
-    done = run_campaign(simulated_study, runs, seed=seed, n_jobs=n_jobs, out=out, progress=progress)
+    done = run_campaign(simulated_study, runs, seed=seed, n_jobs=n_jobs, out=out)
     whole = done[~done["failed"].to_numpy(bool)]
     # questionnaires are not answered under all assumptions
     ids = [id for id in effects["id"] if id in whole and whole[id].notna().any()]
@@ -444,15 +430,12 @@ def checked_priors(
     priors: Mapping[str, tuple[float, float]], study: str
 ) -> dict[str, tuple[float, float]]:
     """Return ranges of priors, each with mass and within what an operator of a study allows."""
-    if not isinstance(priors, Mapping) or not priors:
-        raise ValueError(
-            f"priors must map at least one assumption to (low, high), got {shown(priors)}"
-        )
+    if not table_of("priors", priors):
+        raise ValueError("priors must have at least one assumption, got none")
     ranges = {}
     for name, pair in priors.items():
-        if np.shape(pair) != (2,):
-            raise ValueError(f"the prior of {name} must be two numbers, got {shown(pair)}")
-        ranges[name] = in_order(f"the low end of {name}", pair[0], "its high end", pair[1])
+        low, high = finite_array(f"the prior of {name}", pair, length=2)
+        ranges[name] = in_order(f"the low end of {name}", low, "its high end", high)
         for end in ranges[name]:
             checked_assumptions({name: end}, assumptions_about([study]))
     return ranges
