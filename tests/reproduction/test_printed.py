@@ -110,7 +110,7 @@ def test_studies_say_what_is_missing_and_whether_they_are_corrected():
         ("anova.F = nan", r"s: anova\.F must be a number"),
         ("sd.D = 1", "a condition of mean and sd must be one of 'A', 'B', 'C'"),
         ("pairs.A-C = .002, pairs.C-A = .002", "pairs: a pair was given twice"),
-        ("pairs.A-D = .002", "a pair must be one of 'A-B', 'B-A', .* got 'A-D'"),
+        ("pairs.A-D = .002", "the name of a pair must be one of 'A-B', 'B-A', .* got 'A-D'"),
         ("scale = 7 to 1", "scale must be the lowest and the highest"),
     ],
 )

@@ -183,7 +183,7 @@ class PublishedStudy:
         places = {}
         for (i, a), (j, b) in combinations(enumerate(self.conditions), 2):
             places |= {f"{a}-{b}": (i, j), f"{b}-{a}": (i, j)}
-        return places[one_of("a pair", name, places)]
+        return places[one_of("the name of a pair", name, places)]
 
     def table(self) -> pd.DataFrame:
         """

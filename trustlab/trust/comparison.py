@@ -98,7 +98,8 @@ def named_models(models: Models) -> dict[str, type[TrustDynamics]]:
     if models is None:
         return MODELS | BASELINES
     if not isinstance(models, Mapping):
-        models = {getattr(model, "__name__", model): model for model in list_of("models", models)}
+        models = list_of("models", models)
+        models = {str(getattr(model, "__name__", model)): model for model in models}
     if not models:
         raise ValueError("models must be several, or [one], got none")
     return {str(name): model_class(model) for name, model in models.items()}

@@ -14,8 +14,6 @@ from trustlab.reproduction.audit.catalogue import PARTICIPANTS, PrintedNumber, s
 # Names of printed numbers that formulas write as letters.
 LETTERS = {"ε": "epsilon", "χ2": "chi2", "β": "beta"}
 
-VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
-
 INSIDE = 1000  # points inside a box of rounding
 
 Numbers = Mapping[str, PrintedNumber]

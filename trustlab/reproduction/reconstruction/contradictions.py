@@ -141,7 +141,7 @@ def contradictions(study: PublishedStudy, p_adjust: str = "bonferroni") -> dict[
     return wrong | _beside_the_cells(study, p_adjust, wrong)
 
 
-def _ends(known: Mapping[str, Constraint], name: str) -> np.ndarray:
+def ends_of(known: Mapping[str, Constraint], name: str) -> np.ndarray:
     """Return the ends of what agrees with a number, which are open where none is known."""
     return np.array(known[name][2:] if name in known else (-math.inf, math.inf))
 
@@ -155,16 +155,16 @@ def _under(study: PublishedStudy, reading: Reading) -> dict[str, str]:
     known = {name: s for name, s in printed.items() if name not in wrong}
     epsilon, against = _epsilon(study, reading, known)
     wrong |= against
-    f_ratio = np.maximum(_ends(known, "anova.F"), 0.0)
+    f_ratio = np.maximum(ends_of(known, "anova.F"), 0.0)
     conflict = _contradicted(known, {"anova.eta2": _eta2(f_ratio, n)}, "F gives")
     if not conflict:
-        share = np.clip(_ends(known, "anova.eta2"), 0.0, 1.0)
+        share = np.clip(ends_of(known, "anova.eta2"), 0.0, 1.0)
         f_ratio = np.clip(f_ratio, *((n - 1) * share / (1.0 - share)))
     wrong |= conflict
     if "mauchly.p" in known:
-        p = mauchly_p_value(np.maximum(_ends(known, "mauchly.chi2"), 0.0), n, k)
+        p = mauchly_p_value(np.maximum(ends_of(known, "mauchly.chi2"), 0.0), n, k)
         wrong |= _contradicted(known, {"mauchly.p": p}, "χ² gives")
-    p = 2.0 * special.stdtr(n - 1, -_ends(known, "t_test.t"))
+    p = 2.0 * special.stdtr(n - 1, -ends_of(known, "t_test.t"))
     wrong |= _contradicted(known, {"t_test.p": p}, "t gives")
     wrong |= _contradicted(known, {"t_test.t": np.sqrt(f_ratio)}, "F gives")
     factor = np.array([reading.rounded or 1.0])
@@ -187,7 +187,7 @@ def _epsilon(
     units = {"epsilon": 1.0}
     if reading.df and not reading.rounded:
         units |= {"anova.df2": d * (study.n - 1), "anova.df1": d}
-    needed = {name: _ends(known, name) / unit for name, unit in units.items() if name in known}
+    needed = {name: ends_of(known, name) / unit for name, unit in units.items() if name in known}
     if not needed:
         return (1.0 / d, 1.0), {}
     # If intervals have a common point, an end of one of them is one.
@@ -252,7 +252,7 @@ def _where_degrees_belong(printed: Mapping[str, Constraint]) -> str:
     """Return to which design the degrees of freedom of F belong, if they belong to one."""
     if not {"anova.df1", "anova.df2"} <= printed.keys():
         return ""
-    (low1, high1), (low2, high2) = (_ends(printed, f"anova.{df}") for df in ("df1", "df2"))
+    (low1, high1), (low2, high2) = (ends_of(printed, f"anova.{df}") for df in ("df1", "df2"))
     df1, df2 = 0.5 * (low1 + high1), 0.5 * (low2 + high2)
     if low1 <= 0.0 or not math.isfinite(df1 + df2):
         return ""
@@ -271,7 +271,7 @@ def _contradicted(
     conflicts = {}
     for name, reached in values.items():
         least, most = np.min(reached), np.max(reached)
-        low, high = _ends(known, name)
+        low, high = ends_of(known, name)
         if most < low or least > high:  # what is no number allows everything
             text = f"{name} = {known[name].text}, but {source} {least:.4g} to {most:.4g}"
             conflicts[name] = text
@@ -290,7 +290,8 @@ def _beside_the_cells(
     n, m = study.n, study.k * (study.k - 1) // 2
     known = {s.name: s for s in constraints(study) if s.name not in wrong}
     mean, sd = (
-        np.array([_ends(known, f"{cell}.{c}") for c in study.conditions]) for cell in ("mean", "sd")
+        np.array([ends_of(known, f"{cell}.{c}") for c in study.conditions])
+        for cell in ("mean", "sd")
     )
     f_ratio = np.array(possible_f(mean, sd, n))
     possible = {"anova.F": f_ratio, "anova.eta2": _eta2(f_ratio, n)}

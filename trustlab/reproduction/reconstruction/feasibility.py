@@ -190,10 +190,10 @@ def reconstruct(study: PublishedStudy, seed: int = 0, p_adjust: str | None = Non
     {'C1': 54.3, 'C2': 50.1, 'C3': 44.2, 'C4': 51.9, 'C5': 52.8}
     """
     of_class("study", study, PublishedStudy)
-    candidates = [p_adjust or ADJUSTMENTS[0]]
-    if p_adjust is None and (study.pairs or study.significant_without_p):
-        # first what the fewest numbers contradict; without pairs all are the same
-        candidates = sorted(ADJUSTMENTS, key=lambda each: len(contradictions(study, each)))
+    candidates = [p_adjust]
+    if p_adjust is None:  # first what the fewest numbers contradict; without pairs all are the same
+        among = ADJUSTMENTS if study.pairs or study.significant_without_p else ADJUSTMENTS[:1]
+        candidates = sorted(among, key=lambda each: len(contradictions(study, each)))
     for candidate in candidates:
         answer = feasibility(study, candidate, seed)
         if answer.rest_feasible:

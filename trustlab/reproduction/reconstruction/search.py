@@ -16,7 +16,12 @@ import numpy as np
 from scipy import optimize, special
 
 from trustlab.reproduction.published import PublishedStudy
-from trustlab.reproduction.reconstruction.contradictions import Constraint, Reading, adjusted
+from trustlab.reproduction.reconstruction.contradictions import (
+    Constraint,
+    Reading,
+    adjusted,
+    ends_of,
+)
 from trustlab.studies.anova import orthonormal_contrasts, sphericity
 
 # Starts after which the search gives up.
@@ -99,9 +104,9 @@ class Search:
     ):
         self._study, self._reading, self._p_adjust = study, reading, p_adjust
         self._names = [s.name for s in rows]
-        printed = {s.name: 0.5 * (s.low + s.high) for s in rows}
+        printed = {s.name: s for s in rows}
         self._cells = [
-            np.array([printed.get(f"{cell}.{c}", np.nan) for c in study.conditions])
+            np.array([ends_of(printed, f"{cell}.{c}").mean() for c in study.conditions])
             for cell in ("mean", "sd")
         ]
         known = [x[np.isfinite(x)] for x in self._cells]
