@@ -297,19 +297,21 @@ class Allows(Formula, Relation):
         (at_least, low, _), (at_most, _, high) = reached(0), reached(1)
         doubtful = not at_least <= number.value < at_most
         least, most = number.compatible
-        impossible, start = most < low or least > high, "Not determined"
-        if impossible:
-            start = self.binding or "Impossible, however rounded"
+        verdict, start = "not checkable", "Not determined"
+        if most < low or least > high:
+            start = self.binding
+            if not self.binding:
+                verdict, start = "differs", "Impossible, however rounded"
         elif doubtful and not self.binding:
             start = "Suspicious: not determined"
         reason = f"{start}; by other printed numbers it is {between(low, high)}."
-        if doubtful:
+        if doubtful and verdict != "differs":
             exact = between(at_least, at_most)
             reason += f" As these are printed, it is {exact}, the upper end excluded."
         return row_about(
             number,
             reason,
-            "differs" if impossible and not self.binding else "not checkable",
+            verdict,
             (np.nan, low, high),
             formula=self.text,
             inputs=listing(self.at(self, numbers)[1], numbers),
