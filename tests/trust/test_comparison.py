@@ -29,6 +29,8 @@ def test_pairs_are_paired():
     row = pairs.loc[*place, "asymmetric"]
     assert row["difference"] / row["se"] == approx(test.statistic)
     assert row[["ci_low", "ci_high"]].tolist() == approx([*test.confidence_interval(0.95)])
+    back = compared.paired("asymmetric").set_index(["split", "measure", "model"])
+    assert back.loc[*place, "performance"]["difference"] == approx(-row["difference"])
 
 
 def test_the_middle_of_a_distribution_has_nine_tenths_of_it():

@@ -1,7 +1,7 @@
 """Which model of trust predicts people best: held-out scores, paired by person; and recovery."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -70,9 +70,14 @@ class TrustComparison(Result):
         means[errors] = np.sqrt(means[errors])
         return means.reset_index().rename(columns=lambda name: name.replace("error", "rmse"))
 
-    def paired(self) -> pd.DataFrame:
+    def paired(self, against: str | None = None) -> pd.DataFrame:
         """
-        Return differences from the model `against`, paired by person, with 95 % intervals.
+        Return differences from a model, paired by person, with 95 % intervals.
+
+        Parameters
+        ----------
+        against : str, optional
+            The model that is subtracted; `against` of the comparison when not given.
 
         Returns
         -------
@@ -80,9 +85,12 @@ class TrustComparison(Result):
             Columns split, measure, model, difference (of squared errors, not of their roots), se,
             ci_low, ci_high (Student's t over people), people.
         """
+        reference = one_of(
+            "against", self.against if against is None else against, self.scores["model"].unique()
+        )
         long = self.scores.melt(["split", "person", "model"], MEASURES[:4], "measure", "score")
         wide = long.pivot_table("score", ["split", "measure", "person"], "model", sort=False)
-        apart = wide.drop(columns=self.against).sub(wide[self.against], axis=0)
+        apart = wide.drop(columns=reference).sub(wide[reference], axis=0)
         values = apart.stack()  # noqa: PD013 (melting would lose the order)
         table = values.groupby(["split", "measure", "model"], sort=False)
         table = table.agg(difference="mean", se="sem", people="count").query("people > 1")
@@ -192,8 +200,7 @@ def _scores(fit: TrustFit, panel: Panel, since: int | np.ndarray) -> pd.DataFram
     scored = np.arange(panel.trials) >= np.reshape(since, (-1, 1))
     actual = panel.ratings[:, 1:]
     steps = predict(fit.model, panel)
-    known = replace(panel, ratings=panel_until(panel, since).ratings)
-    free = predict(fit.model, known)
+    free = predict(fit.model, panel, free=True, known=since)
     inside = [
         _in_central_interval(rating, actual[:, k], panel.resolution)
         for k, rating in enumerate(steps.distributions)

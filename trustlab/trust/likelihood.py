@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from trustlab.models.checks import flag, of_class
+from trustlab.models.checks import finite_numbers, flag, of_class
 from trustlab.trust.interface import LEAST, Event, TrustDynamics, cell
 from trustlab.trust.panel import Panel, panel_until
 
@@ -58,7 +58,9 @@ def _scale(model: TrustDynamics, panel: Panel) -> dict[str, Any]:
     return {"resolution": panel.resolution} if model.rounds else {}
 
 
-def predict(model: TrustDynamics, panel: Panel, free: bool = False) -> Predictions:
+def predict(
+    model: TrustDynamics, panel: Panel, free: bool = False, known: int | np.ndarray = 0
+) -> Predictions:
     """
     Return what a model predicts of a panel.
 
@@ -69,7 +71,9 @@ def predict(model: TrustDynamics, panel: Panel, free: bool = False) -> Predictio
     panel : Panel
         Events, and ratings to learn from.
     free : bool
-        Learn from no rating but the first.
+        Learn from no rating but the first, or the `known` first ones.
+    known : int or numpy.ndarray, shape (N,)
+        With `free`: ratings after how many events are learned from.
 
     Returns
     -------
@@ -77,7 +81,8 @@ def predict(model: TrustDynamics, panel: Panel, free: bool = False) -> Predictio
     """
     of_class("model", model, TrustDynamics)
     scale = _scale(model, of_class("panel", panel, Panel))
-    ratings = panel_until(panel, 0).ratings if flag("free", free) else panel.ratings
+    known = finite_numbers("known", known)
+    ratings = panel_until(panel, known).ratings if flag("free", free) else panel.ratings
     rated = np.isfinite(ratings).any(axis=0)
     belief = model.start(ratings[:, 0], **scale)
     distributions, preference = [], np.empty((len(panel), panel.trials))
