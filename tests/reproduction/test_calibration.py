@@ -106,6 +106,8 @@ def test_a_study_that_the_model_can_give_is_within_reach_and_found():
     assert within.extrapolated == ()
     assert "no estimate" not in within.message
     assert finds_attention_cost(within)
+    medians = within.table().set_index("assumption")["median"]
+    assert within.assumptions == pytest.approx(medians.to_dict())
 
 
 def test_effects_beyond_all_simulations_are_said_to_be_out_of_reach():
@@ -133,6 +135,7 @@ def test_stored_calibrations_have_the_usual_priors(study, priors):
     [
         (lambda: tl.calibrate(priors={"atention_cost": (0, 1)}), "an assumption must be one of"),
         (lambda: tl.calibrate("teleoperation"), "study must be one of"),
+        (lambda: made_up().given(), "name at least one measure, any of"),
         (lambda: made_up().given("speed"), "a measure must be one of"),
         (lambda: made_up().checks(studies=5000), "studies must be .*600"),
         (lambda: checks_of({"trust_bias": [0.1]}), "people must be of class DataFrame"),

@@ -13,6 +13,7 @@ from .effects import (
 from .printed import compare as compare
 from .published import (
     PublishedStudy as PublishedStudy,
+    PublishedStudyError as PublishedStudyError,
     published_models as published_models,
     published_studies as published_studies,
     published_table as published_table,

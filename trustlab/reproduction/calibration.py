@@ -28,6 +28,7 @@ from scipy.spatial import KDTree
 
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import (
+    between,
     finite_array,
     in_order,
     of_class,
@@ -70,8 +71,6 @@ TELEOPERATOR_PRIORS = {
 
 # Simulations for every coefficient of the regression, at the least.
 LEAST_PER_COEFFICIENT = 2
-# The share of `Calibration.reach` from which on printed effects are within reach.
-LEAST_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,6 +137,11 @@ class Calibration(Result):
         return tuple(compress(self.priors, self._sampled[1]))
 
     @property
+    def assumptions(self) -> dict[str, float]:
+        """Medians of the posterior, for `simulated_effects`; of `extrapolated` no estimates."""
+        return self.posterior.median().to_dict()
+
+    @property
     def title(self) -> str:
         """The study."""
         return f"Calibration of {self.study}"
@@ -174,14 +178,15 @@ class Calibration(Result):
         Parameters
         ----------
         *measures : str
-            Any that `printed_effects` has of the study, for example "p_r", "r"; all if none is
-            named.
+            Any that `printed_effects` has of the study, for example "p_r", "r".
 
         Raises
         ------
         ValueError
-            If the simulated studies have no effect of a measure.
+            If no measure is named, or the simulated studies have no effect of one.
         """
+        if not measures:
+            raise ValueError(f"name at least one measure, any of {', '.join(self.measures)}")
         return replace(self, measures=measures)
 
     def reach(self) -> pd.DataFrame:
@@ -213,22 +218,31 @@ class Calibration(Result):
         share = (apart >= nearest).mean()
         return " ".join(measures), len(printed), nearest, float(np.median(apart)), share
 
-    def within_reach(self) -> "Calibration":
+    def within_reach(self, share: float = 0.05) -> "Calibration":
         """
-        Return the calibration given as many measures as simulated studies reach at once, with a
-        share of `reach` of 0.05 or more, of equally many the best reached.
+        Return the calibration given as many measures as simulated studies reach at once, of equally
+        many the best reached.
+
+        Parameters
+        ----------
+        share : float
+            The least share of `reach` that counts.
 
         Raises
         ------
         ValueError
             If no measure is within reach.
         """
+        share = between("share", share, 0.0, 1.0)
         for size in range(len(self.measures), 0, -1):
             candidates = [self.given(*measures) for measures in combinations(self.measures, size)]
             shares = [-1.0 if c.extrapolated else c._reach(c.measures)[-1] for c in candidates]
-            if max(shares) >= LEAST_SHARE:
+            if max(shares) >= share:
                 return candidates[int(np.argmax(shares))]
-        raise ValueError(f"no measure of {self.study} is within reach of simulated studies")
+        raise ValueError(
+            f"no measure of {self.study} is within reach of simulated studies, at a share of "
+            f"{share:g}"
+        )
 
     def checks(
         self,
@@ -299,6 +313,7 @@ def calibrate(
     priors: Mapping[str, tuple[float, float]] | None = None,
     out: str | os.PathLike | None = None,
     n_jobs: int = 1,
+    progress: bool | None = None,
 ) -> Calibration:
     """
     Return which assumptions about people reproduce all printed effects of a study at once.
@@ -322,8 +337,8 @@ def calibrate(
     out : path-like, optional
         A folder for the finished simulations: a call with the same arguments goes on where a killed
         one stopped, and one with more simulations runs only those that are new.
-    n_jobs : int
-        Processes, as for `run_campaign`; no effect on results.
+    n_jobs, progress : int, bool, optional
+        As for `run_campaign`; no effect on results.
 
     Returns
     -------
@@ -356,7 +371,7 @@ def calibrate(
     seed = whole_seed(seed)
     _check_enough(simulations, len(effects))
     runs = [{"study": study, "n": n} | draw for draw in prior_draws(ranges, simulations, seed)]
-    done = run_campaign(simulated_study, runs, seed=seed, n_jobs=n_jobs, out=out)
+    done = run_campaign(simulated_study, runs, seed=seed, n_jobs=n_jobs, out=out, progress=progress)
     whole = done[~done["failed"].to_numpy(bool)]
     # questionnaires are not answered under all assumptions
     ids = [id for id in effects["id"] if id in whole and whole[id].notna().any()]

@@ -50,6 +50,10 @@ STATISTICS = {
 PRINTED = ("mean", "sd", *STATISTICS, "pairs")
 
 
+class PublishedStudyError(ValueError):
+    """A printed study with a field that is missing or no number; the message names it."""
+
+
 @dataclass(frozen=True, eq=False)
 class PublishedStudy:
     """
@@ -91,7 +95,7 @@ class PublishedStudy:
 
     Raises
     ------
-    ValueError
+    PublishedStudyError
         If a field is missing or is no printed number; the message names it. A number that cannot
         be is accepted: `feasibility` says what is wrong with it.
 
@@ -127,7 +131,7 @@ class PublishedStudy:
         try:
             self._check()
         except ValueError as error:
-            raise ValueError(f"{self.name}: {error}") from None
+            raise PublishedStudyError(f"{self.name}: {error}") from None
 
     def _check(self) -> None:
         """Check every field; whether a number can be is not checked."""
@@ -177,13 +181,16 @@ class PublishedStudy:
 
         Raises
         ------
-        ValueError
+        PublishedStudyError
             If it does not name two different conditions.
         """
-        places = {}
         for (i, a), (j, b) in combinations(enumerate(self.conditions), 2):
-            places |= {f"{a}-{b}": (i, j), f"{b}-{a}": (i, j)}
-        return places[one_of("the name of a pair", name, places)]
+            if isinstance(name, str) and name in (f"{a}-{b}", f"{b}-{a}"):
+                return i, j
+        raise PublishedStudyError(
+            f"pairs: {name!r} does not name two of the conditions {', '.join(self.conditions)}, as "
+            f"in {self.conditions[0]}-{self.conditions[1]}"
+        )
 
     def table(self) -> pd.DataFrame:
         """
