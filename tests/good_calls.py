@@ -93,7 +93,6 @@ CALLS = {
     },
     "HumanModel.performance": {"r": 0.5},
     "HumanModel.simulate": {"mode": np.array([1.0, 0.0, 1.0])},
-    "Panel.event": {"k": 0},
     "Panel.of": {"rows": [0, 1]},
     "Posterior.table": {},
     "PublishedStudy.pair": {"name": "A-B"},

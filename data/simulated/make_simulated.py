@@ -22,7 +22,7 @@ import trustlab as tl
 from trustlab.models.digest import room_digest
 from trustlab.reproduction import read_calibration
 from trustlab.reproduction.calibration import TELEOPERATOR_PRIORS
-from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS
+from trustlab.reproduction.reconstruction.contradictions import ADJUSTMENTS
 from trustlab.sessions.metrics import window_mean
 from trustlab.teleoperation import (
     SCHEMES,

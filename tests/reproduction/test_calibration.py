@@ -136,6 +136,7 @@ def test_stored_calibrations_have_the_usual_priors(study, priors):
         (lambda: tl.calibrate(priors={"atention_cost": (0, 1)}), "an assumption must be one of"),
         (lambda: tl.calibrate("teleoperation"), "study must be one of"),
         (lambda: made_up().given(), "name at least one measure, any of"),
+        (lambda: made_up().given("speed"), "a measure must be one of"),
         (lambda: made_up().checks(studies=5000), "studies must be .*600"),
         (lambda: checks_of({"trust_bias": [0.1]}), "people must be of class DataFrame"),
         (lambda: checks_of(pd.DataFrame({"trust_bia": [0.1]})), "did you mean 'trust_bias'"),

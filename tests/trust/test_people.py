@@ -146,9 +146,9 @@ def rows(**columns):
         (0, "trial", "first", "row 0 .* no number of a trial"),
         (2, "trial", 1, "row 2 .* a second time"),
         (0, "rating", "a", "row 0 .* rating 'a'"),
-        (4, "p_r", np.nan, "row 4 .* p_r nan; it must not be missing"),
-        (1, "p_h", 55.0, "row 1 .* p_h 55.0, outside the scale from 0 to 1"),
-        (1, "dt", -1.0, "dt -1.0, outside the scale from 0 to inf"),
+        (4, "p_r", np.nan, "row 4 .* p_r nan, which must be a number from 0 to 1"),
+        (1, "p_h", 55.0, "row 1 .* p_h 55.0, which must be a number from 0 to 1"),
+        (1, "dt", -1.0, "dt -1.0, which must be a number from 0 to inf"),
     ],
 )
 def test_rows_that_are_no_trials_are_refused(row, column, value, message):
@@ -173,7 +173,7 @@ def test_trials_in_text_are_in_the_order_of_numbers():
         (rows(), {"colums": {}}, "recipe's key.*'colums'.*did you mean 'columns'"),
         (rows(), {"columns": {"ratng": "rating"}}, "'ratng'.*did you mean 'rating'"),
         (rows(), {"columns": {"rating": "answers"}}, "no column 'answers'"),
-        (rows(rating=7), {"low": 1, "high": 5}, "outside the scale from 1 to 5; low and high"),
+        (rows(rating=7), {"low": 1, "high": 5}, "a number from 1 to 5; .* low and high"),
         (rows(), {"before": "no"}, "before must be True or False"),
         (rows(), {"performance": [1, 1]}, "performance"),
         (rows(), {"performance": [0.3, 0, 1]}, "performance must have 2"),

@@ -5,21 +5,19 @@ from .calibration import (
     read_calibration as read_calibration,
     write_calibration as write_calibration,
 )
-from .comparison import compare as compare
 from .effects import (
     model_effects as model_effects,
     printed_effects as printed_effects,
     simulated_effects as simulated_effects,
 )
+from .printed import compare as compare
 from .published import (
-    published_models as published_models,
-    published_table as published_table,
-    verdicts as verdicts,
-)
-from .published_study import (
     PublishedStudy as PublishedStudy,
     PublishedStudyError as PublishedStudyError,
+    published_models as published_models,
     published_studies as published_studies,
+    published_table as published_table,
+    verdicts as verdicts,
 )
 from .reconstruction.feasibility import (
     Feasibility as Feasibility,

@@ -29,10 +29,11 @@ from scipy.spatial import KDTree
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import (
     between,
+    finite_array,
     in_order,
     of_class,
     one_of,
-    shown,
+    table_of,
     whole_number,
     whole_seed,
 )
@@ -444,15 +445,12 @@ def checked_priors(
     priors: Mapping[str, tuple[float, float]], study: str
 ) -> dict[str, tuple[float, float]]:
     """Return ranges of priors, each with mass and within what an operator of a study allows."""
-    if not isinstance(priors, Mapping) or not priors:
-        raise ValueError(
-            f"priors must map at least one assumption to (low, high), got {shown(priors)}"
-        )
+    if not table_of("priors", priors):
+        raise ValueError("priors must have at least one assumption, got none")
     ranges = {}
     for name, pair in priors.items():
-        if np.shape(pair) != (2,):
-            raise ValueError(f"the prior of {name} must be two numbers, got {shown(pair)}")
-        ranges[name] = in_order(f"the low end of {name}", pair[0], "its high end", pair[1])
+        low, high = finite_array(f"the prior of {name}", pair, length=2)
+        ranges[name] = in_order(f"the low end of {name}", low, "its high end", high)
         for end in ranges[name]:
             checked_assumptions({name: end}, assumptions_about([study]))
     return ranges

@@ -21,8 +21,12 @@ from trustlab.operators.answers import simulated_answers
 from trustlab.operators.ground_robot import ASSUMPTIONS, checked_assumptions
 from trustlab.operators.teleoperator import TELEOPERATOR_ASSUMPTIONS
 from trustlab.reproduction.printed import printed_decimal, printed_interval
-from trustlab.reproduction.published import published_facts, published_models, published_table
-from trustlab.reproduction.published_study import published_studies
+from trustlab.reproduction.published import (
+    published_facts,
+    published_models,
+    published_studies,
+    published_table,
+)
 from trustlab.studies.questionnaires import NASA_TLX
 from trustlab.studies.virtual_study import virtual_study
 from trustlab.testbeds.deciding import CONDITIONS
@@ -274,8 +278,8 @@ def simulated_effects(
     rows = [_compared(effect, measured[effect.place]) for effect in chosen.itertuples()]
     frame = chosen[COLUMNS].reset_index(drop=True).join(pd.DataFrame(rows, columns=SIMULATED))
     frame["agrees"] = frame["agrees"].astype("boolean")
-    frame.attrs = {"origin": "simulated operators", "assumptions": assumed}
-    frame.attrs |= {"n": people, "seed": seed}
+    about = {"assumptions": assumed, "n": people, "seed": seed}
+    frame.attrs = {"origin": "simulated operators", **about}
     return frame
 
 

@@ -1,17 +1,18 @@
 """
-Numbers as printed: text whose last digit says how far they were rounded; and what printed means and
-standard deviations allow, whatever the data.
+Numbers as printed: text whose last digit says how far they were rounded, the greatest standard
+deviation beside a printed mean, and computed numbers beside printed ones, digit by digit.
 """
 
 import math
 import re
-from decimal import ROUND_HALF_EVEN, ROUND_HALF_UP, Decimal, InvalidOperation
+from collections.abc import Mapping
+from decimal import ROUND_HALF_EVEN, ROUND_HALF_UP, Decimal, InvalidOperation, localcontext
 from typing import Any
 
 import numpy as np
-from scipy import optimize
+import pandas as pd
 
-from trustlab.models.checks import shown
+from trustlab.models.checks import not_negative, shown, table_of
 
 Interval = tuple[float, float]
 
@@ -27,12 +28,9 @@ def _parsed(text: str, name: str) -> tuple[str, Decimal]:
     except InvalidOperation:
         value = None
     if value is None or not value.is_finite():
-        lost = f" ({type(text).__name__}): it has lost its trailing zeros"
-        if isinstance(text, str):
-            lost = "; write a decimal point" if "," in text else ""
         raise ValueError(
-            f"{name} must be a number as printed, in quotes, for example '0.390', got "
-            f"{shown(text)}{lost}"
+            f"{name} must be a number as printed, in quotes and with a decimal point, for example "
+            f"'0.390', got {shown(text)}"
         )
     return match[1], value
 
@@ -86,27 +84,100 @@ def greatest_sd(mean: tuple[Any, Any], n: Any, scale: Interval) -> Any:
     return np.sqrt(np.maximum((middle - low) * (high - middle), 0.0) * n / (n - 1))
 
 
-def possible_f(mean: np.ndarray, sd: np.ndarray, n: float) -> Interval:
+def matching_digits(value: float, printed: str) -> int:
     """
-    Return bounds of F over boxes (k, 2) of means and standard deviations, at any correlations.
+    Return how many significant digits of a printed number ours has, counted from the first.
 
-    With T = tr(PS), F = n Σ(m − m̄)²/T. An end that is open allows everything.
+    Parameters
+    ----------
+    value : float
+        The value found here.
+    printed : str
+        The number as printed, trailing zeros kept; it cannot match in more digits than it has.
+
+    Returns
+    -------
+    int
+        The largest d up to the number of printed digits for which both round to the same d
+        significant digits.
     """
-    largest = np.maximum(sd[:, 1], 0.0)
-    # T is least where all correlations are 1, and greatest where the sum of conditions is constant.
-    least_error = _least_spread(np.maximum(sd, 0.0))
-    most_error = 0.5 * largest.sum() ** 2 if len(sd) == 2 else (largest**2).sum()
-    most_effect = (np.abs(mean - mean.mean()).max(axis=1) ** 2).sum()
-    return np.divide(n * _least_spread(mean), most_error), np.divide(n * most_effect, least_error)
+    target = printed_decimal(printed)
+    if not np.isfinite(value):
+        return 0
+    exact = Decimal(float(value))
+    with localcontext(prec=400):  # of the greatest float to many decimals
+        for digits in range(len(target.as_tuple().digits), 0, -1):
+            unit = Decimal(1).scaleb(target.adjusted() - digits + 1)
+            if any(exact.quantize(unit, rule) == target.quantize(unit, rule) for rule in ROUNDINGS):
+                return digits
+    return 0
 
 
-def _least_spread(boxes: np.ndarray) -> float:
-    """Return a lower bound of Σ(m − m̄)², the least of Σ(m − c)² by c, over intervals (k, 2)."""
-    low, high = boxes.T
-    if low.max() <= high.min():
-        return 0.0
+def compare(
+    values: Mapping[str, float],
+    printed: Mapping[str, str],
+    stderr: Mapping[str, float] | None = None,
+) -> pd.DataFrame:
+    """
+    Put our values beside the printed ones.
 
-    def spread(c: float) -> float:
-        return float((np.maximum(np.maximum(low - c, c - high), 0.0) ** 2).sum())
+    Parameters
+    ----------
+    values : mapping of str to float
+        Values found here, by quantity.
+    printed : mapping of str to str
+        Values as printed, by the same quantities; it is an error if one side lacks any.
+    stderr : mapping of str to float, optional
+        Standard errors of our values.
 
-    return optimize.minimize_scalar(spread, (high.min(), low.max())).fun * (1.0 - 1e-6)
+    Returns
+    -------
+    pandas.DataFrame
+        Index `quantity`; columns ours, stderr, printed, matching_digits, printed_digits, verdict:
+        "reproduced" when ours rounds to the printed number, "within 2 s.e." when half a unit of its
+        last digit and twice the standard error cover the difference, else "differs".
+
+    Raises
+    ------
+    ValueError
+        If the quantities differ, a printed value is not text or not a number, or a standard error
+        is negative or of none of the quantities.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> tl.compare({"a_pr": 0.99598, "beta": 0.74}, {"a_pr": "0.996", "beta": "0.74"}).T
+    quantity               a_pr        beta
+    ours                0.99598        0.74
+    stderr                  NaN         NaN
+    printed               0.996        0.74
+    matching_digits           3           2
+    printed_digits            3           2
+    verdict          reproduced  reproduced
+    """
+    stderr = {} if stderr is None else stderr
+    for name, table in {"values": values, "printed": printed, "stderr": stderr}.items():
+        table_of(name, table)
+    if alone := (values.keys() ^ printed.keys()) | (stderr.keys() - values.keys()):
+        raise ValueError(
+            "values and printed must have the same quantities, and stderr none but these; not so: "
+            f"{', '.join(sorted(map(str, alone)))}"
+        )
+    for name, error in stderr.items():
+        if not (isinstance(error, float) and np.isnan(error)):  # none, beside a bound
+            not_negative(f"stderr of {name}", error)
+    rows = []
+    for name, value in values.items():
+        target = printed_decimal(printed[name])
+        text = printed[name].strip()
+        error = float(stderr.get(name, np.nan))
+        counts = matching_digits(value, text), len(target.as_tuple().digits)
+        verdict = "differs"
+        if counts[0] == counts[1]:
+            verdict = "reproduced"
+        elif abs(float(value) - float(target)) <= half_unit(text) + 2.0 * error < np.inf:
+            verdict = "within 2 s.e."
+        rows.append((name, float(value), error, text, *counts, verdict))
+    counted = "matching_digits", "printed_digits"
+    columns = ["quantity", "ours", "stderr", "printed", *counted, "verdict"]
+    return pd.DataFrame(rows, columns=columns).set_index("quantity")

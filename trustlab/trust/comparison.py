@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.models.checks import of_class, one_of, spawned, whole_number
+from trustlab.models.checks import list_of, of_class, one_of, spawned, whole_number
 from trustlab.models.display import Result
 from trustlab.trust.dynamics import BASELINES, MODELS
 from trustlab.trust.fitting import CRITERIA, TrustFit, fitted, model_class
@@ -105,10 +105,11 @@ def named_models(models: Models) -> dict[str, type[TrustDynamics]]:
     """Return classes by name: all models and baselines when none are chosen."""
     if models is None:
         return MODELS | BASELINES
-    if isinstance(models, str) or not np.iterable(models) or not len(models):
-        raise ValueError(f"models must be several, or [one], got {models!r}")
     if not isinstance(models, Mapping):
+        models = list_of("models", models)
         models = {str(getattr(model, "__name__", model)): model for model in models}
+    if not models:
+        raise ValueError("models must be several, or [one], got none")
     return {str(name): model_class(model) for name, model in models.items()}
 
 
@@ -165,12 +166,13 @@ def compare_trust_models(
     chosen = named_models(models)
     usual = "performance" if "performance" in chosen else next(iter(chosen))
     against = one_of("against", usual if against is None else against, list(chosen))
-    free = one_of("criterion", criterion, CRITERIA) == "free"
+    one_of("criterion", criterion, CRITERIA)
     folds = whole_number("folds", folds, least=2)
-    if len(panel) == 1:
-        raise ValueError("people are left out, and there is one; tl.fit_trust(…) fits one")
     if len(panel) < folds:
-        raise ValueError(f"{folds} folds need as many people, got {len(panel)}; folds={len(panel)}")
+        raise ValueError(
+            f"people are left out, and {folds} folds need as many, got {len(panel)}; take fewer "
+            "folds, two or more, or tl.fit_trust(…), which needs one person"
+        )
     order = np.random.default_rng(spawned(seed, 1)[0]).permutation(len(panel))
     groups = np.array_split(order, folds)
     # What is fitted, what is scored, and after which event of every person.
@@ -183,11 +185,11 @@ def compare_trust_models(
     if events.max() > 2 and np.isfinite(earlier.ratings[:, 1:]).any():
         splits.append(("last third", earlier, panel, later))
     # Where all people are fitted best is a good place to start from, and nothing more.
-    starts = {name: fitted(panel, model, free=free).coordinates for name, model in chosen.items()}
+    starts = {name: fitted(panel, model, criterion).coordinates for name, model in chosen.items()}
     tables = []
     for split, seen, unseen, since in splits:
         for name, model in chosen.items():
-            fit = fitted(seen, model, free=free, start=starts[name])
+            fit = fitted(seen, model, criterion, starts[name])
             tables.append(_scores(fit, unseen, since).assign(split=split, model=name))
     scores = pd.concat(tables, ignore_index=True)[["split", "model", "person", *MEASURES]]
     return TrustComparison(scores, against, panel.source, panel.cautions)
@@ -203,7 +205,8 @@ def _scores(fit: TrustFit, panel: Panel, since: int | np.ndarray) -> pd.DataFram
         _in_central_interval(rating, actual[:, k], panel.resolution)
         for k, rating in enumerate(steps.distributions)
     ]
-    odds = fit.link.bias + fit.link.slope * steps.preference
+    bias, slope = fit.link
+    odds = bias + slope * steps.preference
     values = {
         "free_error": np.square(free.mean - actual),
         "step_error": np.square(steps.mean - actual),

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -40,13 +39,6 @@ BEST = 2
 ALIKE = 1e-3
 
 
-class Link(NamedTuple):
-    """Log odds of reliance: bias + slope · preference."""
-
-    bias: float
-    slope: float
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class TrustFit(Result):
     """
@@ -64,8 +56,9 @@ class TrustFit(Result):
         Those of the model, without bounds.
     log_likelihood : float
         Of the ratings after the first.
-    link : Link
-        Of reliance on the model's preference, fitted afterwards; NaN where nobody could rely.
+    link : tuple of float
+        Bias and slope of the log odds of reliance by the model's preference, fitted afterwards; NaN
+        where nobody could rely.
     ratings : int
         Ratings fitted.
     """
@@ -75,7 +68,7 @@ class TrustFit(Result):
     criterion: str
     coordinates: np.ndarray
     log_likelihood: float
-    link: Link
+    link: tuple[float, float]
     ratings: int
 
     @property
@@ -179,35 +172,33 @@ def fit_trust(
     True
     """
     of_class("panel", panel, Panel, "tl.read_people(…) reads one")
-    one_of("criterion", criterion, CRITERIA)
-    return fitted(panel, model_class(model), free=criterion == "free")
+    return fitted(panel, model_class(model), one_of("criterion", criterion, CRITERIA))
 
 
 def fitted(
     panel: Panel,
     chosen: type[TrustDynamics],
-    *,
-    free: bool = False,
+    criterion: str = "step",
     start: np.ndarray | None = None,
 ) -> TrustFit:
     """Return a fit to a panel, searched from coordinates `start` where they are known."""
     ratings = int(np.isfinite(panel.ratings[:, 1:]).sum())
     if not ratings:
         raise ValueError("the panel has no rating after an event: nothing can be fitted")
-    loss = _loss(panel, chosen, free)
-    starts = _starts(loss, chosen, panel, free) if start is None else [start]
+    loss = _loss(panel, chosen, criterion)
+    starts = _starts(loss, chosen, panel, criterion) if start is None else [start]
     optima = [optimum(loss, each) for each in starts]
     best = min(each.fun for each in optima)
     # The first that is as good as the best: last bits do not decide.
     found = next(each for each in optima if each.fun <= best + ALIKE)
     values = values_at(chosen, found.x).tolist()
     model = chosen(**dict(zip(chosen.parameters(), values, strict=True)))
-    if np.isnan(predict(model, panel, free).mean).all():
+    if np.isnan(predict(model, panel, criterion == "free").mean).all():
         raise ValueError(f"{model.name} predicts NaN, not a rating, after every event of the panel")
     return TrustFit(
         model=model,
         panel=panel,
-        criterion="free" if free else "step",
+        criterion=criterion,
         coordinates=found.x,
         log_likelihood=-float(found.fun),
         link=reliance_link(model, panel),
@@ -215,7 +206,7 @@ def fitted(
     )
 
 
-def _loss(panel: Panel, chosen: type[TrustDynamics], free: bool = False) -> Loss:
+def _loss(panel: Panel, chosen: type[TrustDynamics], criterion: str = "step") -> Loss:
     """Return minus the log-likelihood of all people's ratings as a function of coordinates."""
     people = len(panel)
 
@@ -223,12 +214,15 @@ def _loss(panel: Panel, chosen: type[TrustDynamics], free: bool = False) -> Loss
         # Everybody under the first coordinates, then everybody under the second …
         everybody = panel.of(np.tile(np.arange(people), len(x)))
         model = with_parameters(chosen, np.repeat(x, people, axis=0))
-        return -log_likelihood(model, everybody, free).reshape(len(x), people).sum(axis=1)
+        likelihood = log_likelihood(model, everybody, criterion == "free")
+        return -likelihood.reshape(len(x), people).sum(axis=1)
 
     return loss
 
 
-def _starts(loss: Loss, chosen: type[TrustDynamics], panel: Panel, free: bool) -> list[np.ndarray]:
+def _starts(
+    loss: Loss, chosen: type[TrustDynamics], panel: Panel, criterion: str
+) -> list[np.ndarray]:
     """
     Return where searches begin: at the defaults, at the best of points drawn about them, and where
     the model is (3.2) as fitted, if it contains (3.2).
@@ -237,7 +231,7 @@ def _starts(loss: Loss, chosen: type[TrustDynamics], panel: Panel, free: bool) -
     drawn = first + 2.0 * np.random.default_rng(0).standard_normal((DRAWN, first.size))
     starts = [first, *drawn[np.argsort(loss(drawn), kind="stable")[:BEST]]]
     if chosen.as_performance:
-        simple = fitted(panel, MODELS["performance"], free=free).model
+        simple = fitted(panel, MODELS["performance"], criterion).model
         starts.append(coordinates_of(chosen.as_performance(**vars(simple))))
     return starts
 
@@ -329,11 +323,11 @@ def profile_ends(loss: Loss, centre: np.ndarray) -> np.ndarray:
     return np.where(np.abs(ends) < EDGE - STEP, ends, np.copysign(np.inf, ends))
 
 
-def reliance_link(model: TrustDynamics, panel: Panel) -> Link:
+def reliance_link(model: TrustDynamics, panel: Panel) -> tuple[float, float]:
     """Return the link of reliance that is likeliest, given what a model says of trust."""
     asked = np.isfinite(panel.events.followed)
     if not asked.any():
-        return Link(np.nan, np.nan)
+        return np.nan, np.nan
     preference = predict(model, panel).preference[asked]
     relied = panel.events.followed[asked]
 
@@ -342,4 +336,4 @@ def reliance_link(model: TrustDynamics, panel: Panel) -> Link:
         # A weak prior: where trust and reliance are one step the slope has no maximum.
         return np.mean(np.logaddexp(0.0, odds) - relied * odds) + 1e-5 * x @ x
 
-    return Link(*minimize(loss, np.zeros(2), jac="3-point", method="BFGS").x.tolist())
+    return tuple(minimize(loss, np.zeros(2), jac="3-point", method="BFGS").x.tolist())

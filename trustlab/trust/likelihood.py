@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from trustlab.models.checks import finite_numbers, flag, of_class
-from trustlab.trust.interface import LEAST, TrustDynamics, cell
+from trustlab.trust.interface import LEAST, Event, TrustDynamics, cell
 from trustlab.trust.panel import Panel, panel_until
 
 
@@ -43,6 +43,16 @@ class Predictions(NamedTuple):
         return np.where(np.isnan(panel.ratings[:, 1:]), np.nan, probability)
 
 
+def _event(panel: Panel, k: int) -> Event:
+    """
+    Return everybody's event of one trial; where a person had none, one of length 0 with the
+    defaults of `Event`, which still moves models that count events.
+    """
+    absent = np.isnan(panel.events.dt[:, k])
+    pairs = zip(Event(dt=0.0), panel.events, strict=True)
+    return Event(*(np.where(absent, usual, signal[:, k]) for usual, signal in pairs))
+
+
 def _scale(model: TrustDynamics, panel: Panel) -> dict[str, Any]:
     """Return what a model is told of the scale beside ratings."""
     return {"resolution": panel.resolution} if model.rounds else {}
@@ -71,15 +81,16 @@ def predict(
     """
     of_class("model", model, TrustDynamics)
     scale = _scale(model, of_class("panel", panel, Panel))
-    free, known = flag("free", free), finite_numbers("known", known)
-    ratings = panel_until(panel, known).ratings if free else panel.ratings
+    known = finite_numbers("known", known)
+    ratings = panel_until(panel, known).ratings if flag("free", free) else panel.ratings
+    rated = np.isfinite(ratings).any(axis=0)
     belief = model.start(ratings[:, 0], **scale)
     distributions, preference = [], np.empty((len(panel), panel.trials))
     for k in range(panel.trials):
         preference[:, k] = model.preference(belief)
-        belief = model.step(belief, panel.event(k))
+        belief = model.step(belief, _event(panel, k))
         distributions.append(model.rating(belief))
-        if not free or k < np.max(known):
+        if rated[k + 1]:
             belief = model.learn(belief, ratings[:, k + 1], **scale)
     return Predictions(distributions, preference)
 
@@ -112,7 +123,7 @@ def simulate_ratings(model: TrustDynamics, panel: Panel, rng: np.random.Generato
     belief = model.start(ratings[:, 0], **_scale(model, panel))
     steps = round(1.0 / panel.resolution)
     for k in range(panel.trials):
-        belief = model.step(belief, panel.event(k))
+        belief = model.step(belief, _event(panel, k))
         drawn = np.where(np.isnan(ratings[:, k + 1]), np.nan, model.rating(belief).draw(rng))
         ratings[:, k + 1] = np.round(np.clip(drawn, 0.0, 1.0) * steps) / steps
         # What was rounded depends on what was meant before, not on what was written down.

@@ -12,10 +12,11 @@ from trustlab.models.checks import (
     finite_number,
     flag,
     in_order,
+    list_of,
     one_of,
     positive,
     shown,
-    whole_number,
+    table_of,
 )
 from trustlab.trust.interface import Event
 
@@ -23,8 +24,6 @@ from trustlab.trust.interface import Event
 SIGNALS = Event._fields
 NEEDED = "person", "trial", "rating", "p_r"
 KNOWN = *NEEDED[:3], *SIGNALS
-# Least and greatest value of signals that do not end at 1.
-ENDS = {"dt": (0.0, np.inf, ""), "fault": (0.0, np.inf, "")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,21 +61,6 @@ class Panel:
     def trials(self) -> int:
         """The greatest number of events of a person."""
         return self.ratings.shape[1] - 1
-
-    def event(self, k: int) -> Event:
-        """
-        Return everybody's event of one trial; where a person had none, one of length 0 with the
-        defaults of `Event`, which still moves models that count events.
-
-        Parameters
-        ----------
-        k : int
-            The trial, from 0.
-        """
-        k = whole_number("k", k, least=0, most=self.trials - 1)
-        absent = np.isnan(self.events.dt[:, k])
-        pairs = zip(Event(dt=0.0), self.events, strict=True)
-        return Event(*(np.where(absent, usual, signal[:, k]) for usual, signal in pairs))
 
     def of(self, rows) -> "Panel":
         """
@@ -122,9 +106,7 @@ def panel_of(
     Signals of `Event` that the table lacks have their usual values; without a resolution it is the
     least difference of two ratings.
     """
-    if not isinstance(columns, Mapping):
-        raise ValueError(f"columns must be a table of signals and names, got {shown(columns)}")
-    for signal in columns:
+    for signal in table_of("columns", columns):
         one_of("a signal of columns", signal, KNOWN)
     wanted = {name: name for name in KNOWN if name in table or name in NEEDED} | dict(columns)
     for column in wanted.values():
@@ -134,15 +116,12 @@ def panel_of(
     low, high = in_order("low", low, "high", high)
     span, (worst, best) = high - low, finite_array("performance", performance, length=2)
     positive("what lies between the two ends of performance", abs(best - worst))
-    if isinstance(cautions, str):
-        raise ValueError(f"cautions must be a list of texts, got {shown(cautions)}")
     table = table.assign(trial=pd.to_numeric(table["trial"], errors="coerce"))
-    for row in table.index[table[["person", "trial"]].isna().any(axis=1)]:
-        raise ValueError(f"row {row!r} of the table has no person, or no number of a trial")
-    for row in table.index[table.duplicated(["person", "trial"])]:
+    whose = table[["person", "trial"]]
+    for row in table.index[whose.isna().any(axis=1) | whose.duplicated()]:
         raise ValueError(
-            f"row {row!r} of the table has a person's trial a second time; there must be one row "
-            "per person and trial"
+            f"row {row!r} of the table has no person, or no number of a trial, or a person's trial "
+            "a second time"
         )
     # People stay in the order of the table, their trials are put in order.
     person, people = pd.factorize(table["person"])
@@ -151,18 +130,19 @@ def panel_of(
     if not number.max() > 0:
         raise ValueError("no event: a person's first row is the rating before it, or before=False")
     signals = table.reindex(columns=["rating", *SIGNALS])
-    rated, seen = "; low and high are its ends", "; performance has its ends"
-    ends = ENDS | {"rating": (low, high, rated), "p_r": (min(performance), max(performance), seen)}
+    ends = {"rating": (low, high), "p_r": sorted((worst, best))}
+    ends |= dict.fromkeys(("dt", "fault"), (0.0, np.inf))
     for name, column in signals.items():
         signals[name] = values = pd.to_numeric(column, errors="coerce").astype(float)
-        least, most, remedy = ends.get(name, (0.0, 1.0, ""))
-        right = values.between(least, most) | (column.isna() if name != "p_r" else False)
+        least, most = ends.get(name, (0.0, 1.0))
+        right = values.between(least, most) | (column.isna() & (name != "p_r"))
         # Before the first event there is nothing but a rating.
         for row, value in column[~right & ((number > 0) | (name == "rating"))].items():
-            fault = "; it must not be missing"
-            if pd.notna(value):
-                fault = f", outside the scale from {least:g} to {most:g}{remedy}"
-            raise ValueError(f"row {row!r} of the table has {name} {shown(value)}{fault}")
+            raise ValueError(
+                f"row {row!r} of the table has {name} {shown(value)}, which must be a number from "
+                f"{least:g} to {most:g}; a recipe has the ends of ratings as low and high, and "
+                "those of p_r as performance"
+            )
     signals["p_r"] = (signals["p_r"] - worst) / (best - worst)
     # A signal that is not in the table, or missing there, has its usual value.
     signals = signals.fillna(Event()._asdict())
@@ -184,5 +164,5 @@ def panel_of(
         ratings,
         resolution,
         source,
-        tuple(cautions),
+        tuple(list_of("cautions", cautions)),
     )

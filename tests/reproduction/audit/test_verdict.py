@@ -71,7 +71,7 @@ def test_verdicts_at_their_edges():
 
 def test_conventions_are_tried_and_explanations_only_explain():
     total = Formula("a + b", lambda v: v.a + v.b, "the sum", {"a": "a", "b": "b"})
-    assert verdict("5.0", conventions=(total,)).verdict == "reproduced"
+    assert verdict("5.0", convention=total).verdict == "reproduced"
     row = verdict("5.0", explanations=(total,))
     assert row.verdict == "differs"
     assert "Probably the sum" in row.reason

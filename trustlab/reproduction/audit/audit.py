@@ -66,12 +66,18 @@ def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
     numbers = printed_numbers(changes)
     conflicts = study_conflicts(numbers)
     rows = list(checked_rows(numbers, conflicts))
-    # A number counts as checked if a row has its id, or continues it after a slash; to be printed
-    # twice is no check.
-    checks = [row.id for row in rows if not row.id.endswith("/duplicate")]
-    checked = {start for id in checks for start in _ancestors(id)}
+
+    def about(row: Row) -> str:
+        """Return the number whose id a row has or continues; an empty text if none."""
+        id = row.id
+        while id and id not in numbers:
+            id = id.rpartition("/")[0]
+        return id
+
+    # To be printed twice is no check.
+    checked = {about(row) for row in rows if not row.id.endswith("/duplicate")}
     for id in numbers.keys() - checked:
-        rows.append(row_about(numbers[id], why_unchecked(id), "not checkable"))
+        rows.append(row_about(numbers[id], why_unchecked(id)))
     # What a study contradicts is wrong, though other numbers may agree with it.
     rows = [
         row._replace(verdict="differs", reason=conflicts[row.id])
@@ -80,13 +86,9 @@ def audit(changes: Mapping[str, str] | None = None) -> pd.DataFrame:
         for row in rows
     ]
     differ = {row.id for row in rows if row.verdict == "differs"}
-    order = {id: i for i, id in enumerate(numbers)}
-
-    def place(row: Row) -> tuple[int, str]:
-        """Where the number stands that a row is about, or that its id continues."""
-        return next((order[id] for id in _ancestors(row.id) if id in order), len(order)), row.id
-
-    return pd.DataFrame([_resting(row, differ) for row in sorted(rows, key=place)])
+    order = [*numbers, ""]
+    rows.sort(key=lambda row: (order.index(about(row)), row.id))
+    return pd.DataFrame([_resting(row, differ) for row in rows])
 
 
 def _resting(row: Row, differ: set[str]) -> Row:
@@ -95,9 +97,3 @@ def _resting(row: Row, differ: set[str]) -> Row:
     if not used or row.formula.startswith("number of"):  # which counts its inputs
         return row
     return row._replace(reason=f"{row.reason} Rests on {', '.join(used)}, judged “differs”.")
-
-
-def _ancestors(id: str) -> list[str]:
-    """Return an id and what it begins with, up to each slash, longest first."""
-    parts = id.split("/")
-    return ["/".join(parts[:i]) for i in range(len(parts), 0, -1)]

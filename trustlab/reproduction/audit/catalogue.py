@@ -8,11 +8,15 @@ from functools import cache
 
 import pandas as pd
 
-from trustlab.models.checks import did_you_mean, shown, whole_number
+from trustlab.models.checks import did_you_mean, shown, table_of, whole_number
 from trustlab.models.published import printed_pilot, published_folder
 from trustlab.reproduction.printed import half_unit, printed_interval
-from trustlab.reproduction.published import published_facts, published_table
-from trustlab.reproduction.published_study import PublishedStudy, published_studies
+from trustlab.reproduction.published import (
+    PublishedStudy,
+    published_facts,
+    published_studies,
+    published_table,
+)
 
 PARTICIPANTS = ("1", "2", "3", "4", "5")
 TABLES = ("2.1", "2.2", "2.3", "2.4", "2.5", "2.6", "3.1")
@@ -163,10 +167,8 @@ def printed_numbers(changes: Mapping[str, str] | None = None) -> dict[str, Print
 
     `changes` puts other values in place of printed ones, by id.
     """
-    if changes is not None and not isinstance(changes, Mapping):
-        raise ValueError(f"changes must map ids to texts of numbers, got {shown(changes)}")
     numbers = dict(_all_numbers())
-    for id, text in (changes or {}).items():
+    for id, text in table_of("changes", {} if changes is None else changes).items():
         numbers[id] = _changed(numbers, id, text)
     return numbers
 
@@ -174,7 +176,7 @@ def printed_numbers(changes: Mapping[str, str] | None = None) -> dict[str, Print
 def _changed(numbers: Mapping[str, PrintedNumber], id: str, text: str) -> PrintedNumber:
     """Return a printed number with another text."""
     if id not in numbers:
-        meant = did_you_mean(id, numbers) if isinstance(id, str) else ""
+        meant = did_you_mean(id, numbers)
         raise ValueError(f"no printed number has the id {shown(id)}{meant} (audit() lists all ids)")
     changed = replace(numbers[id], printed=str(text).strip())
     is_number = math.isfinite(changed.value) or not math.isfinite(numbers[id].value)

@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from trustlab.models.checks import one_of
 from trustlab.reproduction.audit.catalogue import PARTICIPANTS, PrintedNumber, studies
 
 # Names of printed numbers that formulas write as letters.
 LETTERS = {"ε": "epsilon", "χ2": "chi2", "β": "beta"}
-
-VERDICTS = ("reproduced", "within rounding", "differs", "not checkable")
 
 INSIDE = 1000  # points inside a box of rounding
 
@@ -85,9 +84,9 @@ class Values:
         relation: "Follows | Allows",
         numbers: Numbers,
         ids: Mapping[str, str],
-        arrays: Mapping | None = None,
+        arrays: Mapping[str, np.ndarray] | None = None,
     ) -> None:
-        self._numbers, self._ids, self._arrays = numbers, {**relation.ids, **ids}, arrays
+        self._numbers, self._ids, self._arrays = numbers, {**relation.ids, **ids}, arrays or {}
         self._folder, _, _ = relation.of.rpartition("/")
         _, _, last = f"{relation.of}{relation.suffix}".rpartition("/")
         tests = ("", "anova.", "mauchly.", "t_test.")
@@ -99,11 +98,11 @@ class Values:
 
     def _where(self, symbol: str) -> dict[str, str]:
         """Return the id of a symbol, or by x_1, x_2 … those of several."""
-        pattern = self._ids.get(symbol, "").replace("./", f"{self._folder}/", 1)
-        if not pattern:
+        if symbol not in self._ids:
             name = f"{LETTERS.get(symbol, symbol)}{self._end}"
             beside = [id for x in self._beside if (id := f"{x}{name}") in self._numbers]
             return {symbol: beside[0]} if beside else {}
+        pattern = self._ids[symbol].replace("./", f"{self._folder}/", 1)
         if pattern in self._numbers:
             return {symbol: pattern}
         start = min(pattern.partition(sign)[0] for sign in "*[")
@@ -118,8 +117,9 @@ class Values:
         if not named:
             raise NotPrintedError(symbol)
         self.used |= named
-        arrays = self._arrays or {x: np.asarray(self._numbers[id].value) for x, id in named.items()}
-        values = [arrays[x] for x in named]
+        values = [
+            np.asarray(self._arrays.get(x, self._numbers[id].value)) for x, id in named.items()
+        ]
         return values[0] if symbol in named else np.stack(values)
 
 
@@ -161,9 +161,9 @@ class Formula:
         vary = [x for x, number in inputs.items() if number.half > 0 and x not in self.as_printed]
         # The middle, all corners, and points inside, the same at every call, where a function that
         # is not monotone may turn.
-        corners = np.array(list(product((-1.0, 1.0), repeat=len(vary))))
+        corners = list(product((-1.0, 1.0), repeat=len(vary)))
         inside = np.random.default_rng(0).uniform(-1.0, 1.0, (INSIDE, len(vary)))
-        points = np.concatenate([np.zeros((1, len(vary))), corners, inside])
+        points = np.vstack([np.zeros(len(vary)), corners, inside])
         arrays = {x: np.full(len(points), number.value) for x, number in inputs.items()}
         for x, offsets in zip(vary, points.T, strict=True):
             arrays[x] += inputs[x].half * offsets
@@ -174,11 +174,12 @@ class Formula:
             (float(reached[0]), float(known.min()), float(known.max())) if known.size else NOTHING
         )
 
-    def result(self, value: float, number: PrintedNumber) -> str:
-        """Return the formula with its value, and its label."""
-        return f"{self.text} = {show(value, number, 2)}" + (
-            f" ({self.label})" if self.label else ""
-        )
+    def result(self, span: Span, number: PrintedNumber) -> str:
+        """Return the formula with its label, its value and the ends of its range."""
+        value, low, high = (show(each, number, 2) for each in span)
+        label = f" ({self.label})" if self.label else ""
+        ends = f", from {low} to {high} within rounding" if span[2] > span[1] else ""
+        return f"{self.text} = {value}{label}{ends}"
 
 
 def show(value: float, like: PrintedNumber | None = None, more: int = 0) -> str:
@@ -222,17 +223,17 @@ class Follows(Formula, Relation):
     """
     A formula that a printed number follows from.
 
-    `conventions` are other readings of the definition, tried in turn; `explanations` are mistakes
+    `convention` is another reading of the definition, tried in turn; `explanations` are mistakes
     that could have led to the printed number, named only if they give it. `target` has the ends
     that the result must lie between where they are not those of the printed number, or those of
     each word that may be printed. `quantity` is what a row with a suffix is about. In the `note`,
-    {0}, {1} … stand for the value of the formula and those of its conventions.
+    {0}, {1} … stand for the value of the formula and that of its convention.
     """
 
     _: KW_ONLY
     note: str = ""
     quantity: str = ""
-    conventions: tuple[Formula, ...] = ()
+    convention: Formula | None = None
     explanations: tuple[Formula, ...] = ()
     target: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None
 
@@ -244,35 +245,31 @@ class Follows(Formula, Relation):
         number = numbers[self.of]
         target = self.target or number.compatible
         if isinstance(target, Mapping):
-            if number.printed not in target:
-                words = ", ".join(map(repr, target))
-                raise ValueError(f"{number.id} must be one of {words}, got {number.printed!r}")
-            target = target[number.printed]
+            target = target[one_of(number.id, number.printed, target)]
         least, most = target
-        ways = [(way, way.range(self, numbers)) for way in (self, *self.conventions)]
+        ways = [(way, way.range(self, numbers)) for way in filter(None, (self, self.convention))]
         hit = [(way, span) for way, span in ways if least <= span[0] <= most]
         near = [(way, span) for way, span in ways if span[1] <= most and span[2] >= least]
         way, span = (hit or near or ways)[0]
-        verdict, reason, cause = "reproduced", f"{way.result(span[0], number)}.", ""
-        if not hit:
-            for x in self.explanations:
-                value, _ = x.at(self, numbers)
-                if not cause and least <= value <= most:
-                    cause = f"Probably {x.label}: {x.text} = {show(value, number, 2)}."
-            verdict = "not checkable" if self.binding else "differs"
-            reason = self._missed(number, ways)
-        if near and not hit:
-            verdict = "within rounding"
-            reason = (
-                f"{way.result(span[0], number)}; from {show(span[1], number, 2)} to "
-                f"{show(span[2], number, 2)} as the printed inputs vary within their rounding, "
-                f"which takes in the printed {number.printed}."
-            )
-            reason = f"Suspicious: {reason}" if cause else reason
+        verdict = "reproduced" if hit else "within rounding"
+        reason, cause = f"{way.result(span, number)}.", ""
+        if not near:
+            verdict, should = "differs", f"It should be {show(ways[0][1][0], number)}."
+            if self.target:
+                should = "It does not hold."
+            if self.binding:
+                verdict, should = "not checkable", f"But {self.binding}"
+            tried = "; ".join(way.result(span, number) for way, span in ways)
+            reason = f"{tried}. Printed is {number.shown}. {should}"
+        for x in () if hit else self.explanations:
+            value, _ = x.at(self, numbers)
+            if not cause and least <= value <= most:
+                cause = f"Probably {x.label}: {x.text} = {show(value, number, 2)}."
         note = self.note.format(*(span[0] for _, span in ways))
+        doubt = "Suspicious:" if (cause if near else self.binding) else ""
         return row_about(
             number,
-            " ".join(filter(None, (reason, cause, note))),
+            " ".join(filter(None, (doubt, reason, cause, note))),
             verdict,
             span,
             id=number.id + self.suffix,
@@ -280,19 +277,6 @@ class Follows(Formula, Relation):
             formula=way.text,
             inputs=listing(way.at(self, numbers)[1], numbers),
         )
-
-    def _missed(self, number: PrintedNumber, ways: list) -> str:
-        """Return the reason where no convention reaches the printed number."""
-        tried = []
-        for way, (value, low, high) in ways:
-            span = f", from {show(low, number, 2)} to {show(high, number, 2)} within rounding"
-            tried.append(f"{way.result(value, number)}{span if high > low else ''}")
-        reason = f"{'; '.join(tried)}. Printed is {number.shown}."
-        if self.binding:
-            return f"Suspicious: {reason} But {self.binding}"
-        if self.target is not None:
-            return f"{reason} It does not hold."
-        return f"{reason} It should be {show(ways[0][1][0], number)}."
 
 
 @dataclass(frozen=True)
@@ -311,19 +295,19 @@ class Allows(Formula, Relation):
             return replace(self, compute=lambda v: self.compute(v)[end]).range(self, numbers)
 
         (at_least, low, _), (at_most, _, high) = reached(0), reached(1)
-        ends, exact = between(low, high), between(at_least, at_most)
+        doubtful = not at_least <= number.value < at_most
         least, most = number.compatible
-        verdict = "not checkable"
-        reason = f"Not determined by other printed numbers, by which it is {ends}."
+        verdict, start = "not checkable", "Not determined"
         if most < low or least > high:
-            reason = f"{self.binding} By other printed numbers it is {ends}."
+            start = self.binding
             if not self.binding:
-                verdict = "differs"
-                reason = f"Impossible: by other printed numbers it is {ends}, however rounded."
-        if not at_least <= number.value < at_most:
-            reason = reason if self.binding else f"Suspicious: {reason}"
-            if exact != ends:
-                reason += f" As these are printed, it is {exact}, the upper end excluded."
+                verdict, start = "differs", "Impossible, however rounded"
+        elif doubtful and not self.binding:
+            start = "Suspicious: not determined"
+        reason = f"{start}; by other printed numbers it is {between(low, high)}."
+        if doubtful and verdict != "differs":
+            exact = between(at_least, at_most)
+            reason += f" As these are printed, it is {exact}, the upper end excluded."
         return row_about(
             number,
             reason,

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
-from functools import cache
 from itertools import combinations
 from statistics import mode
 from typing import Any
@@ -20,14 +19,12 @@ from scipy import stats
 from trustlab.reproduction.audit.catalogue import PrintedNumber, studies
 from trustlab.reproduction.audit.check import Numbers, Row, listing, row_about
 from trustlab.reproduction.printed import ROUNDINGS, printed_interval
-from trustlab.reproduction.published import published_facts
-from trustlab.reproduction.published_study import PRINTED
-from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS
+from trustlab.reproduction.published import PRINTED, published_facts
 from trustlab.reproduction.reconstruction.contradictions import contradictions
 
 MEASURES = published_facts("measures")
 TLX_RULES = {rule: Fraction(points) for rule, points in MEASURES["tlx_rules"].items()}
-MOST_ITEMS = 40
+ITEM_RULES = {f"{items} items": Fraction(items) for items in range(1, 41)}
 # The id of a mean of ratings: table, condition and measure; or study, with its measure, and
 # condition.
 RATED = "(tlx|trust|satisfaction|preference)"
@@ -41,28 +38,18 @@ PEOPLE = {
 def study_conflicts(numbers: Numbers) -> dict[str, str]:
     """Return numbers of studies that others contradict however p was adjusted, with the reason."""
     conflicts = {}
-    for name in studies():
-        texts = ((id, x.printed) for id, x in numbers.items() if id.startswith(f"{name}/"))
-        conflicts |= _conflicts(name, int(numbers[f"{name}/n"].value), tuple(texts))
+    for name, study in studies().items():
+        printed: dict[str, Any] = {
+            key: {part: numbers[f"{name}/{key}.{part}"].printed for part in getattr(study, key)}
+            for key in PRINTED
+        }
+        if study.epsilon:
+            printed["epsilon"] = numbers[f"{name}/epsilon"].printed
+        again = replace(study, n=int(numbers[f"{name}/n"].value), **printed)
+        # What Holm's adjustment can make of a p includes what all others make of it.
+        found = contradictions(again, "holm")
+        conflicts |= {f"{name}/{key}": f"Impossible: {reason}." for key, reason in found.items()}
     return conflicts
-
-
-@cache
-def _conflicts(name: str, n: int, texts: tuple[tuple[str, str], ...]) -> dict[str, str]:
-    """Return the conflicts of one study; what is printed of it is proved wrong once."""
-    printed, study = dict(texts), studies()[name]
-    fields: dict[str, Any] = {
-        key: {part: printed[f"{name}/{key}.{part}"] for part in getattr(study, key)}
-        for key in PRINTED
-    }
-    fields["epsilon"] = study.epsilon and printed[f"{name}/epsilon"]
-    again = replace(study, n=n, **fields)
-    first, *rest = (contradictions(again, p_adjust) for p_adjust in ADJUSTMENTS)
-    return {
-        f"{name}/{statistic}": f"Impossible: {reason}."
-        for statistic, reason in first.items()
-        if all(statistic in other for other in rest)
-    }
 
 
 def is_attainable(number: PrintedNumber, units: Fraction) -> bool:
@@ -95,34 +82,34 @@ def _ratings(
     measure: str, kind: str, size: str, ids: Mapping[str, str], numbers: Numbers
 ) -> list[Row]:
     """Return the rows of one questionnaire."""
-    respondents = numbers[size]
-    word, what, rules = "scoring", "rule of scoring", TLX_RULES
-    if kind != "tlx":
-        word, what = "items", "number of items"
-        rules = {f"{items} items": Fraction(items) for items in range(1, MOST_ITEMS + 1)}
+    respondents = int(numbers[size].value)
+    word, what, rules = "items", "number of items", ITEM_RULES
+    if kind == "tlx":
+        word, what, rules = "scoring", "rule of scoring", TLX_RULES
 
-    def fits(condition: str, rule: str) -> bool:
+    def fitting(condition: str) -> list[str]:
         # Table 2.4 may rest on two sets of tests under C1.
         twice = measure.startswith("table_2.4") and condition == "C1"
-        sets = numbers["section_2_4_1_3/sets"].value if twice else 1
-        return is_attainable(numbers[ids[condition]], int(respondents.value * sets) * rules[rule])
+        people = respondents * (int(numbers["section_2_4_1_3/sets"].value) if twice else 1)
+        number = numbers[ids[condition]]
+        return [rule for rule, points in rules.items() if is_attainable(number, people * points)]
 
-    fitting = [rule for rule in rules if all(fits(condition, rule) for condition in ids)]
+    fits = {condition: fitting(condition) for condition in ids}
+    together = [rule for rule in rules if all(rule in each for each in fits.values())]
     listed = MEASURES["expected_items"]
     expected, source = listed.get(measure) or listed.get(kind) or ("", "")
     rows = []
     for condition, id in ids.items():
-        if kind == "tlx" and not any(fits(condition, rule) for rule in rules):
-            remark = f"Suspicious: for n = {respondents.value:g} no whole points give it, raw or "
-            rows.append(row_about(numbers[id], f"{remark}weighted (GRIM)."))
-        elif expected and not fits(condition, expected):
+        if not fits[condition]:
+            remark = f"Suspicious: for n = {respondents} no whole points give it (GRIM)."
+            rows.append(row_about(numbers[id], remark))
+        elif expected and expected not in fits[condition]:
             rows.append(row_about(numbers[id], f"With {expected} no whole points round to it."))
-    tried = "; ".join(rules) if kind == "tlx" else f"up to {MOST_ITEMS} items"
     reason = f"The {what} is not printed. All means are whole points for: "
-    reason += f"{'; '.join(fitting[:4]) or 'none of ' + tried}."
-    if expected and expected not in fitting:
+    reason += f"{'; '.join(together[:4]) or 'none of ' + '; '.join(rules)}."
+    if expected and expected not in together:
         reason = f"Suspicious: not {expected} ({source}). {reason}"
-    fewest = float(rules[fitting[0]]) if fitting and word == "items" else math.nan
+    fewest = float(rules[together[0]]) if together and word == "items" else math.nan
     items = row_about(
         numbers[next(iter(ids.values()))],
         reason,
@@ -184,11 +171,9 @@ def restated_rows(numbers: Numbers) -> Iterator[Row]:
             verdict, reason = "reproduced", f"{where} has {source.printed}."
             if here not in (there.quantize(here, rule) for rule in ROUNDINGS):
                 verdict = "within rounding" if low < high else "differs"
-                both = f"Numbers from {low:g} to {high:g} round to both."
+                reason += f" Numbers from {low:g} to below {high:g} round to both."
                 if low >= high:
-                    up = f", as {low:g} is rounded up" if low == high else ""
-                    both = f"No number rounds to both{up}: one of the two is wrong."
-                reason += f" {both}"
+                    reason = reason.replace("Numbers", "One of the two is wrong: no numbers")
             yield row_about(
                 number,
                 reason,

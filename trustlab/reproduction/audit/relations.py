@@ -47,7 +47,7 @@ def constants(v: Any, a_pr: Any, b_pr: Any) -> TscConstants:
     """Return the constants at printed parameters."""
     a_T, b_T = weights(v)
     return TscConstants(
-        a_r=np.nan,  # no limit and no bound on performance depends on a_r and β
+        a_r=np.nan,  # no limit depends on a_r and β, and no bound on performance on b_pr, either
         beta=np.nan,
         p_h_min=v.P_h_min,
         p_h_max=v.P_h_max,
@@ -67,7 +67,7 @@ def limits(v: Any, b_pr: Any) -> tuple[np.ndarray, np.ndarray]:
 
 def performance(v: Any, a_pr: Any = np.nan, move: float = 0.0) -> PerformanceRange:
     """Return P_rl, P_ru (2.15), and dwell times, which alone need a_pr, by moved thresholds."""
-    tsc = constants(v, a_pr, gain_of_human_performance(a_pr, v.P_r_min, v.P_r_max, v.P_h_max))
+    tsc = constants(v, a_pr, np.nan)
     return performance_as_printed(tsc, v.TSC_l + move, v.TSC_u + move, v.delta_TSC)
 
 
@@ -97,11 +97,6 @@ def chi2_of_epsilon(
     with np.errstate(all="ignore"):
         w = np.where((single > 0.0) & (equal > 0.0), single * equal ** (p - 1.0), 0.0)
         return -mauchly_factor(n, k) * np.log(w)
-
-
-def upper_limit(v: Any) -> np.ndarray:
-    """Return TSC_ub by (2.10), with b_pr as printed."""
-    return limits(v, v.b_pr)[1]
 
 
 def step(v: Any, sign: float = 1.0) -> np.ndarray:
@@ -174,22 +169,6 @@ def sd_limits(of: str, participants: str, low: float, high: float) -> Allows:
     )
 
 
-def mean_limits(p: str) -> Allows:
-    """Return that the mean of a performance lies between the means of its least and greatest."""
-    ends = {end: f"table_2.1/{p}_{end}/*" for end in ("min", "max")}
-    return Allows(
-        f"table_2.5/*/{p}_mean",
-        f"mean of {p}_min of Table 2.1 … mean of {p}_max of Table 2.1",
-        lambda v: (v.min.mean(axis=0), v.max.mean(axis=0)),
-        ids=ends,
-    )
-
-
-def lower_limit(v: Any) -> np.ndarray:
-    """Return TSC_lb by (2.9)."""
-    return limits(v, robot_gain(v))[0]
-
-
 def square(section: str, group: str, orders: int) -> Follows:
     """Return that participants fill whole squares of so many orders."""
     return Follows(
@@ -213,33 +192,14 @@ def ranked(i: int, measure: str, sign: int) -> Follows:
     )
 
 
-def within_limits(of: str, binding: str, beside: str = "") -> Allows:
-    """Return that thresholds lie between the limits by (2.9) and (2.10), which need not be so."""
-    return Allows(
-        of,
-        "TSC_lb (2.9) … TSC_ub (2.10)",
-        lambda v: (lower_limit(v), upper_limit(v)),
-        beside=beside,
-        as_printed=("b_pr",),
-        binding=binding,
-    )
-
-
 STEP = "a_T δ_Pr + b_T δ_Ph"
-BEYOND = "Beyond the limits between which Theorem 1 guarantees switching."
+BEYOND = "Beyond the limits between which Theorem 1 guarantees switching"
 UPPER = "a'_3 P_h + b'_3 (2.10)"
 CHANGE = "100 |after − before|/before"
 FIVE = {"x": "./[1-5]"}
 
-USED = Formula(CHANGE, change, "the value of OMI was used", against_mmi("OMI"))
-LOWER = Follows(
-    "section_3_1/error",
-    CHANGE,
-    change,
-    "relative change",
-    against_mmi("TMIG"),
-    explanations=(USED,),
-)
+LOWER = "lowers tracking error against MMI by [%]"
+BOTH_LOWER = "claim/section_3_9_5/tmig_and_omi_lower_tracking_error_against_mmi_by"
 
 SCHEMES = ("M", "MI", "MMI", "TMIG", "TMIS")
 # Measures of Table 3.1, and 1 where more is better.
@@ -262,34 +222,27 @@ RELATIONS: tuple[Follows | Allows, ...] = (
             ),
         ),
     ),
-    Follows(
-        "claim/remark_3/delta_tsc_of_the_pilot_operator",
-        STEP,
-        step,
-        beside="pilot",
-    ),
+    Follows("claim/remark_3/delta_tsc_of_the_pilot_operator", STEP, step, beside="pilot"),
     Follows(
         "table_2.1/TSC_lb/*",
         "a_T b'_1 − b_T P_h_min (2.9)",
-        lower_limit,
+        lambda v: limits(v, robot_gain(v))[0],
     ),
     Follows(
         "table_2.1/TSC_ub/*",
         UPPER,
-        upper_limit,
+        lambda v: limits(v, v.b_pr)[1],
         "b_pr as printed",
         as_printed=("b_pr",),  # (2.3) ties it to the other parameters
-        conventions=(
-            Formula(
-                UPPER,
-                lambda v: limits(v, robot_gain(v))[1],
-                "b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb",
-            ),
+        convention=Formula(
+            UPPER,
+            lambda v: limits(v, robot_gain(v))[1],
+            "b_pr of (2.3), not rounded; it makes TSC_ub = −TSC_lb",
         ),
         explanations=tuple(
             Formula(
                 UPPER,
-                upper_limit,
+                lambda v: limits(v, v.b_pr)[1],
                 f"the b_pr of participant {other} was used",
                 {"b_pr": f"table_2.1/b_pr/{other}"},
                 ("b_pr",),
@@ -298,13 +251,25 @@ RELATIONS: tuple[Follows | Allows, ...] = (
         ),
         note="A b_pr that rounds as printed but does not obey (2.3) may reach further.",
     ),
-    within_limits("table_2.2/TSC_[lu]/*", BEYOND),
-    within_limits("section_2_5/TSC_*", f"Suspicious: {BEYOND}", "pilot"),
+    *(
+        Allows(
+            of,
+            "TSC_lb (2.9) … TSC_ub (2.10)",
+            lambda v: limits(v, v.b_pr),
+            beside=beside,
+            as_printed=("b_pr",),
+            binding=binding,
+        )
+        for of, binding, beside in (
+            ("table_2.2/TSC_[lu]/*", BEYOND, ""),
+            ("section_2_5/TSC_*", f"Suspicious: {BEYOND}", "pilot"),
+        )
+    ),
     Allows(
         "table_2.3/TSC_u.mean/*",
         "TSC_lb … TSC_ub",
         lambda v: (v.TSC_lb, v.TSC_ub),
-        binding=f"{BEYOND} It is captured, and the condition is sufficient, not necessary.",
+        binding=f"{BEYOND}. It is captured, and the condition is sufficient, not necessary",
     ),
     Allows(
         "*/delta_P_r*",
@@ -368,8 +333,15 @@ RELATIONS: tuple[Follows | Allows, ...] = (
     lies_above("robot_performance", "23", "1", "table_2.5/P_r"),
     lies_above("human_performance", "23", "1", "table_2.5/P_h"),
     lies_above("utilization", "1", "23", "table_2.5/r"),
-    mean_limits("P_r"),
-    mean_limits("P_h"),
+    *(
+        Allows(
+            f"table_2.5/*/{p}_mean",
+            f"mean of {p}_min of Table 2.1 … mean of {p}_max of Table 2.1",
+            lambda v: (v.min.mean(axis=0), v.max.mean(axis=0)),
+            ids={end: f"table_2.1/{p}_{end}/*" for end in ("min", "max")},
+        )
+        for p in ("P_r", "P_h")
+    ),
     *(
         sd_limits(f"table_{measure}", f"section_{people}/participants", low, high)
         for measure, people, low, high in (
@@ -388,7 +360,7 @@ RELATIONS: tuple[Follows | Allows, ...] = (
         lambda v: v.x.std(axis=0, ddof=1),
         "divided by n − 1",
         ids=FIVE,
-        conventions=(Formula("SD of the five", lambda v: v.x.std(axis=0), "divided by n"),),
+        convention=Formula("SD of the five", lambda v: v.x.std(axis=0), "divided by n"),
     ),
     # F, its degrees of freedom, ε, t and Mauchly's test of a study; each of ε and the degrees of
     # freedom follows from another.
@@ -398,31 +370,29 @@ RELATIONS: tuple[Follows | Allows, ...] = (
         "F/(F + n − 1)",
         lambda v: v.F / (v.F + v.n - 1),
         "partial η²",
-        conventions=(
-            Formula(
-                "F df1/(F df1 + df2)",
-                lambda v: v.F * v.df1 / (v.F * v.df1 + v.df2),
-                "partial η² with the printed df",
-            ),
+        convention=Formula(
+            "F df1/(F df1 + df2)",
+            lambda v: v.F * v.df1 / (v.F * v.df1 + v.df2),
+            "partial η² with the printed df",
         ),
     ),
     Follows(
         "*/anova.df1",
         "df2/(n − 1)",
         lambda v: v.df2 / (v.n - 1),
-        conventions=(Formula("(k − 1) ε", lambda v: (v.k - 1) * epsilon(v)),),
+        convention=Formula("(k − 1) ε", lambda v: (v.k - 1) * epsilon(v)),
     ),
     Follows(
         "*/anova.df2",
         "(k − 1) ε (n − 1)",
         lambda v: (v.k - 1) * epsilon(v) * (v.n - 1),
-        conventions=(Formula("df1 (n − 1)", lambda v: v.df1 * (v.n - 1)),),
+        convention=Formula("df1 (n − 1)", lambda v: v.df1 * (v.n - 1)),
     ),
     Follows(
         "*/epsilon",
         "df2/((k − 1)(n − 1))",
         lambda v: v.df2 / ((v.k - 1) * (v.n - 1)),
-        conventions=(Formula("df1/(k − 1)", lambda v: v.df1 / (v.k - 1)),),
+        convention=Formula("df1/(k − 1)", lambda v: v.df1 / (v.k - 1)),
     ),
     Follows("*/t_test.p", "2 P(t(n − 1) > t)", lambda v: 2 * stats.t.sf(v.t, v.n - 1)),
     Follows("*/mauchly.df", "k(k − 1)/2 − 1", lambda v: v.k * (v.k - 1) / 2 - 1),
@@ -431,10 +401,8 @@ RELATIONS: tuple[Follows | Allows, ...] = (
         "P(χ²(df) > χ²) + ω [P(χ²(df + 4) > χ²) − P(χ²(df) > χ²)]",
         lambda v: mauchly_p_value(v.χ2, v.n, v.k),
         "second-order approximation, as statistical packages give it",
-        conventions=(
-            Formula(
-                "P(χ²(df) > χ²)", lambda v: stats.chi2.sf(v.χ2, v.df), "first-order approximation"
-            ),
+        convention=Formula(
+            "P(χ²(df) > χ²)", lambda v: stats.chi2.sf(v.χ2, v.df), "first-order approximation"
         ),
     ),
     Follows(
@@ -474,16 +442,22 @@ RELATIONS: tuple[Follows | Allows, ...] = (
         lambda v: (v.W / v.T + 1) / (v.W / v.T),
         "W + 1 terms from k − W to k, divided by W",
     ),
-    LOWER,
     *(
-        replace(
-            LOWER,
-            ids=against_mmi(scheme),
-            of="claim/section_3_9_5/tmig_and_omi_lower_tracking_error_against_mmi_by",
+        Follows(
+            of,
+            CHANGE,
+            change,
+            "relative change",
+            against_mmi(scheme),
+            explanations=(Formula(CHANGE, change, "OMI's value was used", against_mmi("OMI")),),
             suffix=suffix,
-            quantity=f"{scheme} lowers tracking error against MMI by [%]",
+            quantity=quantity,
         )
-        for scheme, suffix in (("OMI", ""), ("TMIG", "/TMIG"))
+        for of, suffix, scheme, quantity in (
+            ("section_3_1/error", "", "TMIG", ""),
+            (BOTH_LOWER, "", "OMI", f"OMI {LOWER}"),
+            (BOTH_LOWER, "/TMIG", "TMIG", f"TMIG {LOWER}"),
+        )
     ),
     *(
         Follows(of, f"number of {what}", lambda v: len(v.x), ids={"x": pattern}, note=note)
@@ -517,12 +491,7 @@ RELATIONS: tuple[Follows | Allows, ...] = (
             ),
         ),
     ),
-    Follows(
-        "teleop.*/n",
-        "participants − dropped",
-        analysed,
-        beside="section_3_9_2",
-    ),
+    Follows("teleop.*/n", "participants − dropped", analysed, beside="section_3_9_2"),
     square("section_2_4_2_2", "section_2_4_2_2", 10),
     square("section_3_9_3", "section_3_9_2", 4),
     # (3.10) at rest, of a handle of 50 g: no handle of a haptic device is so light.
@@ -531,7 +500,7 @@ RELATIONS: tuple[Follows | Allows, ...] = (
         "0.05 Λ … ∞",
         lambda v: (0.05 * v.Lambda, INFINITE),
         binding="Suspicious: by (3.10) B must be at least MΛ, here for a handle of 50 g, lighter "
-        "than any that a hand holds.",
+        "than any that a hand holds",
     ),
     Follows("section_2_4_1_3/laps_in_all", "sets × laps", lambda v: v.sets * v.laps),
     Follows("section_*/participants", "female + male", lambda v: v.female + v.male),
@@ -589,7 +558,7 @@ READINGS = {
         "|after − before|",
         lambda v: abs(v.after - v.before),
         "difference in units of the measure, printed as %",
-        conventions=(RELATIVE,),
+        convention=RELATIVE,
         note=PERCENT,
     ),
     "share": Follows(
@@ -597,7 +566,7 @@ READINGS = {
         "100 |after − before|",
         lambda v: 100 * abs(v.after - v.before),
         "percentage points",
-        conventions=(RELATIVE,),
+        convention=RELATIVE,
         note=PERCENT,
     ),
     "range": Follows(
@@ -605,12 +574,10 @@ READINGS = {
         "100 (after − before)/(P_r_max − P_r_min)",
         lambda v: 100 * (v.after - v.before) / (v.P_r_max - v.P_r_min),
         "difference of two values of (2.39)",
-        conventions=(
-            Formula(
-                "100 (after − before)/(before − P_r_min)",
-                lambda v: 100 * (v.after - v.before) / (v.before - v.P_r_min),
-                "relative change of (2.39)",
-            ),
+        convention=Formula(
+            "100 (after − before)/(before − P_r_min)",
+            lambda v: 100 * (v.after - v.before) / (v.before - v.P_r_min),
+            "relative change of (2.39)",
         ),
     ),
 }

@@ -10,10 +10,14 @@ import pandas as pd
 
 from trustlab.models.checks import of_class, one_of, whole_seed
 from trustlab.models.display import Result
-from trustlab.reproduction.published_study import PublishedStudy
-from trustlab.reproduction.reconstruction.constraints import ADJUSTMENTS, constraints, readings
-from trustlab.reproduction.reconstruction.contradictions import contradictions, reading_of
-from trustlab.reproduction.reconstruction.search import STARTS, Found, Search
+from trustlab.reproduction.published import PublishedStudy
+from trustlab.reproduction.reconstruction.contradictions import (
+    ADJUSTMENTS,
+    constraints,
+    contradictions,
+    reading_of,
+)
+from trustlab.reproduction.reconstruction.search import STARTS, Search
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,15 +35,18 @@ class Feasibility(Result):
         How pairwise p-values were adjusted.
     left_out : mapping of str to str
         Statistics left out beforehand as others contradict them by arithmetic, with the reason.
-    found : Found
+    scores : numpy.ndarray, shape (n, k)
         Data that were found, or the closest ones.
+    conflict : tuple of str
+        Where no data were found: the statistics that the closest ones do not have.
     """
 
     study: PublishedStudy
     reading: str
     p_adjust: str
     left_out: Mapping[str, str]
-    found: Found
+    scores: np.ndarray
+    conflict: tuple[str, ...]
 
     def __bool__(self) -> bool:
         return self.feasible is True
@@ -55,12 +62,7 @@ class Feasibility(Result):
     @property
     def rest_feasible(self) -> bool | None:
         """True if data with all that is not left out were found, None if none were."""
-        return None if self.found.missed else True
-
-    @property
-    def conflict(self) -> tuple[str, ...]:
-        """Where no data were found: the statistics that the closest ones do not have."""
-        return self.found.missed
+        return None if self.conflict else True
 
     @property
     def message(self) -> str:
@@ -74,8 +76,7 @@ class Feasibility(Result):
                 f"No data with {subject} were found from {STARTS} starts; the closest "
                 f"miss {', '.join(self.conflict)}."
             )
-        usual, both = next(readings(self.study)), {"F", "p"} <= self.study.anova.keys()
-        if self.reading != usual.words or (both and self.study.k > 2):
+        if self.study.anova and self.study.k > 2:
             parts.append(f"Read as {self.reading}.")
         return " ".join(parts)
 
@@ -136,8 +137,8 @@ def feasibility(study: PublishedStudy, p_adjust: str = "bonferroni", seed: int =
     left_out = contradictions(study, p_adjust)
     rows = [s for s in constraints(study) if s.name not in left_out]
     reading = reading_of(study)
-    found = Search(study, reading, p_adjust, rows).solve(rng)
-    return Feasibility(study, reading.words, p_adjust, left_out, found)
+    scores, missed = Search(study, reading, p_adjust, rows).solve(rng)
+    return Feasibility(study, reading.words, p_adjust, left_out, scores, missed)
 
 
 class ReconstructionError(ValueError):
@@ -191,9 +192,8 @@ def reconstruct(study: PublishedStudy, seed: int = 0, p_adjust: str | None = Non
     of_class("study", study, PublishedStudy)
     candidates = [p_adjust]
     if p_adjust is None:  # first what the fewest numbers contradict; without pairs all are the same
-        candidates = [*ADJUSTMENTS[:1]]
-        if study.pairs or study.significant_without_p:
-            candidates = sorted(ADJUSTMENTS, key=lambda each: len(contradictions(study, each)))
+        among = ADJUSTMENTS if study.pairs or study.significant_without_p else ADJUSTMENTS[:1]
+        candidates = sorted(among, key=lambda each: len(contradictions(study, each)))
     for candidate in candidates:
         answer = feasibility(study, candidate, seed)
         if answer.rest_feasible:
@@ -201,9 +201,9 @@ def reconstruct(study: PublishedStudy, seed: int = 0, p_adjust: str | None = Non
     else:
         raise ReconstructionError(f"{study.name}, p_adjust={candidate!r}: {answer.message}")
     subjects = pd.RangeIndex(1, study.n + 1, name="subject")
-    wide = pd.DataFrame(answer.found.scores, subjects, list(study.conditions))
-    long = wide.melt(var_name="condition", value_name="value", ignore_index=False)
-    frame = long.sort_index(kind="stable").reset_index()
+    conditions = pd.Index(study.conditions, name="condition")
+    wide = pd.DataFrame(answer.scores, subjects, conditions)
+    frame = wide.stack().reset_index(name="value")  # noqa: PD013 (melting would lose the order)
     about = {"study": study.name, "p_adjust": candidate, "seed": int(seed)}
     frame.attrs = {**RECONSTRUCTED, **about, "left_out": answer.left_out}
     return frame

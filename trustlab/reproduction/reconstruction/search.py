@@ -1,6 +1,7 @@
 """
 Data that have all printed statistics, by least squares.
 
+All statistics of a one-way within-subject study are functions of its means and covariance matrix.
 The scores of random people are m + Gz, with z normal, on a measure without limits; where its scale
 has one end, of their distances to it the logarithms are, and where it has two, of their positions
 between them the logits. The unknowns are m and G. How far each statistic lies outside its printed
@@ -8,13 +9,20 @@ interval is minimised; where nothing does, the data are a solution.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 from scipy import optimize, special
 
-from trustlab.reproduction.published_study import PublishedStudy
-from trustlab.reproduction.reconstruction.constraints import Constraint, Reading, statistics
+from trustlab.reproduction.published import PublishedStudy
+from trustlab.reproduction.reconstruction.contradictions import (
+    Constraint,
+    Reading,
+    adjusted,
+    ends_of,
+)
+from trustlab.studies.anova import orthonormal_contrasts, sphericity
 
 # Starts after which the search gives up.
 STARTS = 60
@@ -33,11 +41,56 @@ FAR = 1e6  # the violation of what is no number
 TINY = 1e-300  # below which a p is not told apart
 
 
-class Found(NamedTuple):
-    """Scores, shape (n, k), and the printed statistics that they do not have."""
+def statistics(
+    study: PublishedStudy,
+    reading: Reading,
+    p_adjust: str,
+    scores: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """
+    Return the statistics of scores (B, n, k) by the names of constraints.
 
-    scores: np.ndarray
-    missed: tuple[str, ...]
+    With A the covariance of k − 1 orthonormal contrasts: F = n Σ(m − m̄)²/tr A, and t_ij = (m_i −
+    m_j)/√(V_ij/n) with V_ij the variance of a difference; of t the size.
+    """
+    n, k = study.n, study.k
+    d = k - 1
+    mean = scores.mean(axis=1)
+    centred = scores - mean[:, None]
+    covariance = centred.swapaxes(1, 2) @ centred / (n - 1)
+    contrasts = orthonormal_contrasts(k)
+    errors = contrasts.T @ covariance @ contrasts
+    sphere = sphericity(errors, n - 1)
+    f_ratio = n * k * mean.var(axis=1) / np.trace(errors, axis1=1, axis2=2)
+    one, epsilon = np.ones(len(mean)), sphere["epsilon_gg"]
+    factor = one * (reading.rounded or epsilon)
+    df, df_of_p = (d * (factor if corrected else one) for corrected in (reading.df, reading.p))
+    i, j = np.triu_indices(k, 1)
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
+    of_difference = variance[:, i] + variance[:, j] - 2.0 * covariance[:, i, j]
+    t = np.abs(mean[:, i] - mean[:, j]) / np.sqrt(of_difference / n)
+    p = 2.0 * special.stdtr(n - 1, -t)
+    values = {
+        "anova.F": f_ratio,
+        "anova.p": special.fdtrc(df_of_p, df_of_p * (n - 1), f_ratio),
+        "anova.eta2": f_ratio / (f_ratio + n - 1),
+        "anova.df1": df,
+        "anova.df2": df * (n - 1),
+        "epsilon": epsilon,
+        "mauchly.chi2": sphere["mauchly_chi2"],
+        "mauchly.df": sphere["mauchly_df"] * one,
+        "mauchly.p": sphere["mauchly_p"],
+        "mauchly.violated": sphere["mauchly_p"],
+        "t_test.t": t[:, 0],
+        "t_test.p": p[:, 0],
+        "t_test.df": (n - 1) * one,
+    }
+    for c, name in enumerate(study.conditions):
+        values |= {f"mean.{name}": mean[:, c], f"sd.{name}": np.sqrt(variance[:, c])}
+    named = combinations(study.conditions, 2)
+    for (a, b), p_value in zip(named, adjusted(p, p_adjust).T, strict=True):
+        values[f"pairs.{a}-{b}"] = values[f"pairs.{b}-{a}"] = p_value
+    return values
 
 
 class Search:
@@ -51,9 +104,9 @@ class Search:
     ):
         self._study, self._reading, self._p_adjust = study, reading, p_adjust
         self._names = [s.name for s in rows]
-        printed = {s.name: 0.5 * (s.low + s.high) for s in rows}
+        printed = {s.name: s for s in rows}
         self._cells = [
-            np.array([printed.get(f"{cell}.{c}", np.nan) for c in study.conditions])
+            np.array([ends_of(printed, f"{cell}.{c}").mean() for c in study.conditions])
             for cell in ("mean", "sd")
         ]
         known = [x[np.isfinite(x)] for x in self._cells]
@@ -126,8 +179,11 @@ class Search:
         return np.concatenate([mean, loading.ravel()])
 
     @np.errstate(all="ignore")  # candidates may be degenerate, and numbers that are printed, too
-    def solve(self, rng: np.random.Generator) -> Found:
-        """Search from several starts; return the first solution, or the closest data."""
+    def solve(self, rng: np.random.Generator) -> tuple[np.ndarray, tuple[str, ...]]:
+        """
+        Search from several starts; return the scores (n, k) of the first solution, or the closest
+        ones, and the printed statistics that they do not have.
+        """
         closest, least = None, np.array([np.inf])
         for _ in range(STARTS):
             x, people = self._start(rng), rng.standard_normal((self._study.n, self._study.k))
@@ -147,4 +203,4 @@ class Search:
             if not least.any():
                 break
         missed = (name for name, beyond in zip(self._names, least, strict=True) if beyond)
-        return Found(closest, tuple(missed))
+        return closest, tuple(missed)
