@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from trustlab.ros.core import AHEAD, FIELDS, AllocationCore
+from trustlab.ros.core import AHEAD, AllocationCore
 from trustlab.ros.run import CLOCK, NOTE, RunSettings
 
 # What the node notes last: a run without it was cut off.
@@ -57,14 +57,14 @@ class Feed:
         except ValueError as error:
             self.core.note(f"{name}: {error}")
             return False
-        if name not in FIELDS:
+        if name not in self.core.inputs:
             self._press(name, numbers[0] >= 0.5)
             return False
         frame = getattr(getattr(message, "header", None), "frame_id", "")
         if frame != self.frames.setdefault(name, frame):
             self.core.note(f"{name}: in frame {frame!r}, before in {self.frames[name]!r}")
             self.frames[name] = frame
-        if len(numbers) > len(FIELDS[name]):  # of a reference: the path error is its distance
+        if name == "path_error" and len(numbers) == 2:  # of a reference: its distance
             place = self.core.inputs["odometry"].values
             if place is None:
                 return False
