@@ -44,8 +44,9 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
     ----------
     graph : networkx.Graph, networkx.DiGraph or array_like, shape (N, N)
         Without self-loops, edges from who sees to who is seen; a_ij is the edge's `weight`, 1 where
-        there is none. Connected, or, if directed, with a spanning tree: a robot whom all others
-        see, directly or through others. Robots of a matrix are named 0 … N − 1.
+        there is none, and the sum of parallel edges. Connected, or, if directed, with a spanning
+        tree: a robot whom all others see, directly or through others. Robots of a matrix are named
+        0 … N − 1.
     require_connected : bool
         Refuse a graph in several parts, or without a spanning tree.
 
@@ -78,12 +79,6 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
 
 def _matrix(graph) -> tuple[tuple, np.ndarray]:
     """Return names and adjacency as a user gives them."""
-    if hasattr(graph, "is_multigraph") and graph.is_multigraph():
-        import networkx
-
-        plain = networkx.DiGraph(graph) if graph.is_directed() else networkx.Graph(graph)
-        if plain.number_of_edges() < graph.number_of_edges():
-            raise GraphError("the graph has parallel edges; pass networkx.Graph(graph)")
     try:
         if hasattr(graph, "nodes"):
             import networkx
