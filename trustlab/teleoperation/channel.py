@@ -20,13 +20,11 @@ from trustlab.models.compiled import njit
 from trustlab.models.records import signals
 from trustlab.teleoperation.delays import delays_in_samples
 from trustlab.teleoperation.ports import waves
-from trustlab.teleoperation.ports.waves import (
-    END,
-    READ_OUTS,
-    Scattering,
-    accounts,
-    read_waves,
-)
+from trustlab.teleoperation.ports.waves import END, Scattering, accounts, read_waves
+
+# How delayed waves are read.
+READ_OUTS = ("ledger", "interpolated", "hold")
+LEDGER, INTERPOLATED, HOLD = range(3)
 
 # By how much, as a share, scales may lie beyond their bounds, for rounding.
 SLACK = 1e-12
@@ -82,16 +80,37 @@ class ChannelRun(NamedTuple):
 
 
 @njit
-def _send(r_m, f_m, r_s, f_s, u_l, v_l, u_r, v_r, near, far, alpha, beta, delays, gain, *reading):
+def read_with_gain(sent, where, gain, interpolated):
+    """
+    Return the wave of a sample, read between samples or the last one, with the gain f_i of (3.16);
+    zero before the first.
+    """
+    first = int(np.floor(where))
+    part = where - first if interpolated else 0.0
+    wave = np.zeros(sent.shape[1])
+    if first >= 0:
+        wave += (1.0 - part) * sent[first]
+    if first >= -1:
+        wave += part * sent[first + 1]
+    return gain * wave
+
+
+@njit
+def _send(ports, near, far, alpha, beta, delays, read_out, gain, sample_time, accounts):
     """
     Fill the waves, f_m and r_s, sample by sample.
 
-    near, far, shape (N,): the ends of the channel at the operator and at the robot, records of END.
-    reading: read-out, sample time and accounts, as `read_waves` takes them.
+    ports: as in `ChannelRun`. near, far, shape (N,): the ends of the channel at the operator and at
+    the robot, records of END.
     """
+    r_m, f_m, r_s, f_s, u_l, v_l, u_r, v_r = ports
     arrives = np.ones(delays.shape, np.bool_)
     for k in range(len(r_m)):
-        read_waves(u_l, u_r, arrives, k, delays, gain, *reading, v_l[k], v_r[k])
+        if read_out == LEDGER:
+            read_waves(u_l, u_r, arrives, k, delays, sample_time, accounts, v_l[k], v_r[k])
+        else:
+            v_r[k] = read_with_gain(u_l, k - delays[0, k], gain, read_out == INTERPOLATED)
+            v_l[k] = read_with_gain(u_r, k - delays[1, k], gain, read_out == INTERPOLATED)
         u_l[k] = waves.operator_wave(near[k], r_m[k], v_l[k])
         f_m[k] = beta[k] * waves.operator_force(near[k], r_m[k], v_l[k])
         u_r[k] = waves.robot_wave(far[k], f_s[k], v_r[k])
@@ -187,18 +206,25 @@ def channel_run(
         array_between("alpha", alphas, *alpha_ends, "alpha_min, alpha_max")
         array_between("beta", betas, *beta_ends, "beta_min, beta_max")
     rate = max(end.max_delay_rate for end in ends)
-    delays = {"delay_1": delay_1, "delay_2": delay_2}
+    pair = {"delay_1": delay_1, "delay_2": delay_2}
+    delays = delays_in_samples(pair, rate, count, period)
+    growth = np.diff(delays).max()
+    if read_out != "ledger" and growth > rate + 1e-6:
+        raise ValueError(
+            f"a delay grows at up to {growth:g} s/s, but f_i is set for max_delay_rate = {rate:g}; "
+            "raise max_delay_rate of the scattering, or use read_out='ledger'"
+        )
     f_m, r_s, u_l, v_l, u_r, v_r = np.zeros((6, *r_m.shape))
     ports = (r_m, f_m, r_s, f_s, u_l, v_l, u_r, v_r)
     _send(
-        *ports,
+        ports,
         np.array([end.at_operator for end in ends], END)[near],
         np.array([end.at_robot for end in ends], END)[far],
         alphas,
         betas,
-        delays_in_samples(delays, rate, count, period, read_out),
+        delays,
+        READ_OUTS.index(read_out),
         min(end.gain for end in ends),
-        READ_OUTS[read_out],
         period,
         accounts(),
     )

@@ -27,8 +27,15 @@ from trustlab.models.display import axes_or_new
 from trustlab.models.simulation import filled
 from trustlab.models.trust import TrustModel, logistic_scale
 from trustlab.models.uav import held_over
-from trustlab.teleoperation.loop.kernel import BY_HAND, GUIDANCE, LOGISTIC, MANUAL, STEPS
-from trustlab.teleoperation.loop.records import SAMPLE, STATE
+from trustlab.teleoperation.loop.kernel import (
+    BY_HAND,
+    GUIDANCE,
+    LOGISTIC,
+    MANUAL,
+    SAMPLE,
+    STATE,
+    STEPS,
+)
 from trustlab.teleoperation.ports.device import METHODS, HapticDevice
 from trustlab.teleoperation.ports.waves import Scattering
 
@@ -55,8 +62,6 @@ class LoopSettings(Checked):
         (3.2) and (3.3).
     steepness : float
         s_α = s_β of (3.5), at least 10.
-    force_scaling : float
-        γ of (3.25).
     window : float
         W of (3.26) [s].
     command_range, error_range : float
@@ -90,7 +95,6 @@ class LoopSettings(Checked):
     human_to_robot: TrustModel = field(default_factory=lambda: TrustModel(a=0.2, b=0.2))
     robot_to_human: TrustModel = field(default_factory=lambda: TrustModel(a=0.2, b=0.2))
     steepness: Annotated[float, (10.0, 1e6)] = 10.0
-    force_scaling: float = 1.0
     window: Positive = 10.0
     command_range: Positive = 3.0
     error_range: Positive = 3.0
@@ -108,7 +112,6 @@ class LoopSettings(Checked):
             self.damping,
             self.stiffness,
             self.weight,
-            force_scaling=self.force_scaling,
             port_damping=self.scattering.beta_min * self.scattering.b,
             require_passive=self.require_passive,
         )
@@ -441,21 +444,20 @@ def blending_cost(vehicle, gains, low: float, high: float) -> np.ndarray:
 
 
 @lru_cache(maxsize=64)
-def vehicle_matrices(axes: tuple, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
+def vehicle_matrices(axes: tuple, sample_time: float) -> np.ndarray:
     """
-    Return exact one-sample matrices of (position, velocity, acceleration) for a command held over
-    the sample: the state transition, shape (3, 3, 3), and the effect of the command, shape (3, 3),
-    by axis.
+    Return exact one-sample matrices, shape (3, 3, 4), by axis: (position, velocity, acceleration) a
+    sample later from these and a command that is held.
 
     Worked out once: exponentials take longer than a minute of the loop. An axis of order 1 leaves
     its acceleration at zero.
     """
-    phi, gamma = np.zeros((3, 3, 3)), np.zeros((3, 3))
-    for i, axis in enumerate(axes):
+    matrices = np.zeros((3, 3, 4))
+    for matrix, axis in zip(matrices, axes, strict=True):
         n = axis.order + 1
         a, b = axis.matrices()
         moving = np.pad(a, ((1, 0), (1, 0)))
         moving[0, 1] = 1.0
-        phi[i, :n, :n], gamma[i, :n] = held_over(sample_time, moving, np.pad(b, (1, 0)))
-    phi.flags.writeable = gamma.flags.writeable = False
-    return phi, gamma
+        matrix[:n, :n], matrix[:n, 3] = held_over(sample_time, moving, np.pad(b, (1, 0)))
+    matrices.flags.writeable = False
+    return matrices

@@ -1,7 +1,9 @@
-"""The haptic device with its passivating loop, (3.8)-(3.11), and static force scaling (3.25)."""
+"""
+The haptic device with its passivating loop, (3.8)-(3.11), and the passivity controller of a port.
+"""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,55 +18,30 @@ from trustlab.models.checks import (
     rounded_up,
 )
 from trustlab.models.records import block, record
+from trustlab.models.simulation import filled
 
 ROUNDING = 1e-12
 
+# One axis of the device, and what the implicit midpoint rule makes of it together with the hand
+# that holds it: mass and stiffness of device and arm; `inertia`, force per velocity at the
+# midpoint, 2M/T + B + KT/2 of device and arm; `lever`, r_m per velocity there, 1 + ΛT/2.
+DEVICE = record(
+    numbers="sample_time mass damping stiffness weight held_mass held_stiffness inertia lever"
+)
 
-class Device(NamedTuple):
+
+def held_device(gains: Any, sample_time: float, arm: Any = None) -> np.void:
     """
-    One axis of the device, and what the implicit midpoint rule makes of it together with the hand
-    that holds it.
+    Return one axis of a device, alone or in a hand, a record of DEVICE; `gains` has its mass,
+    damping, stiffness and weight, `arm` what the operator's arm adds to the first three.
     """
-
-    sample_time: float
-    mass: float
-    damping: float
-    stiffness: float
-    weight: float
-    held_mass: float  # of device and arm
-    held_stiffness: float
-    inertia: float  # 2M/T + B + KT/2, device and arm: force per velocity at the midpoint
-    lever: float  # r_m per velocity at the midpoint, 1 + ΛT/2
-
-
-DEVICE = record(numbers=" ".join(Device._fields))
-
-
-class Arm(NamedTuple):
-    """What the operator's arm adds to an axis of the device: M [kg], K [N/m] and B [N s/m]."""
-
-    mass: float
-    stiffness: float
-    damping: float
-
-
-NO_ARM = Arm(0.0, 0.0, 0.0)
-
-
-@block
-def held_device(gains, arm, sample_time):
-    """
-    Return one axis of a device in a hand; `gains` is what has its mass, damping, stiffness and
-    weight.
-    """
-    mass, stiffness = gains.mass + arm.mass, gains.stiffness + arm.stiffness
-    damping = gains.damping + arm.damping
-    return Device(
-        sample_time,
-        gains.mass,
-        gains.damping,
-        gains.stiffness,
-        gains.weight,
+    mass, damping, stiffness = (
+        getattr(gains, name) + getattr(arm, name, 0.0) for name in ("mass", "damping", "stiffness")
+    )
+    return filled(
+        DEVICE,
+        gains,
+        sample_time=sample_time,
         held_mass=mass,
         held_stiffness=stiffness,
         inertia=2.0 * mass / sample_time + damping + 0.5 * sample_time * stiffness,
@@ -81,9 +58,7 @@ def free_force(device, x, v, force):
 
 @block
 def midpoint_velocity(device, x, v, force, feedback):
-    """
-    Return the velocity at the middle of the sample under the hand's force and the scaled feedback.
-    """
+    """Return the velocity at the middle of the sample under the hand's force and the feedback."""
     return (free_force(device, x, v, force) - feedback) / device.inertia
 
 
@@ -98,7 +73,7 @@ def free_output(device, x, v, force):
 
 @block
 def device_storage(device, x, v):
-    """Return the storage of one axis, (3.9), before static scaling [J]."""
+    """Return the storage of one axis, (3.9) [J]."""
     r = v + device.weight * x
     spare = device.stiffness + device.weight * (device.damping - device.mass * device.weight)
     return 0.5 * (device.mass * r * r + spare * x * x)
@@ -106,9 +81,7 @@ def device_storage(device, x, v):
 
 @block
 def device_loss(device, x_middle, v_middle):
-    """
-    Return the power dissipated on one axis at the midpoint, (3.10), before static scaling [W].
-    """
+    """Return the power dissipated on one axis at the midpoint, (3.10) with C = 0 [W]."""
     damped = (device.damping - device.mass * device.weight) * v_middle**2
     return damped + device.weight * device.stiffness * x_middle**2
 
@@ -122,8 +95,8 @@ class HapticDevice(Checked):
     """
     A haptic device made r-passive by a local PD loop, equations (3.8)-(3.11).
 
-    M dv/dt = −B v − K x + f_h − γ f''_m with the output r_m = v + Λ x, axis by axis. With B ≥ MΛ
-    and K + ΛB ≥ ΛMΛ it is passive with the storage V_hd = ½ Σ (M r_m² + (K + ΛB − ΛMΛ) x²). The
+    M dv/dt = −B v − K x + f_h − f_m with the output r_m = v + Λ x, axis by axis. With B ≥ MΛ and
+    K + ΛB ≥ ΛMΛ it is passive with the storage V_hd = ½ Σ (M r_m² + (K + ΛB − ΛMΛ) x²). The
     inertia is constant, so that C(x, v) = 0.
 
     Parameters
@@ -132,8 +105,6 @@ class HapticDevice(Checked):
         M [kg], B [N s/m] and Λ [1/s], positive; the same on all axes.
     stiffness : float
         K [N/m], 0 or more.
-    force_scaling : float
-        γ of (3.25), static scaling of the force feedback; positive.
     port_damping : float
         Least damping that the channel adds at the port, β_min b (Section 3.7.2) [N s/m]; counted in
         the conditions.
@@ -149,8 +120,7 @@ class HapticDevice(Checked):
 
     Notes
     -----
-    Saeidi, Section 3.4 and Proposition 2. The supply that (3.11) gives is r''_mᵀ f_h − r_mᵀ f''_m
-    with r''_m = r_m/γ; (3.25) is printed with a plus.
+    Saeidi, Section 3.4. `simulate_teleoperation` steps the device.
 
     Examples
     --------
@@ -164,14 +134,13 @@ class HapticDevice(Checked):
     damping: Positive
     stiffness: NotNegative
     weight: Positive
-    force_scaling: Positive = 1.0
     port_damping: NotNegative = 0.0
     require_passive: bool = True
 
     def __post_init__(self):
         super().__post_init__()
         if self.require_passive and not self.is_passive:
-            damping = self.mass * self.weight - self.force_scaling * self.port_damping
+            damping = self.mass * self.weight - self.port_damping
             raise PassivityError(
                 "the device is not r-passive: B ≥ MΛ and K + ΛB ≥ ΛMΛ (3.9)-(3.10) hold up to "
                 f"{rounded_down(self.largest_mass(), 4):g} kg only, and it has {self.mass:.4g} kg; "
@@ -187,89 +156,7 @@ class HapticDevice(Checked):
     def largest_mass(self) -> float:
         """Return the largest mass [kg] that is r-passive with these gains."""
         # From B ≥ MΛ follows K + ΛB ≥ ΛMΛ, for K is not negative.
-        return (self.damping + self.force_scaling * self.port_damping) / self.weight
-
-    def output(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """
-        Return r_m = v + Λ x [m/s].
-
-        Parameters
-        ----------
-        x, v : array_like, shape (n,)
-            Position [m] and velocity [m/s].
-        """
-        x, v = self._vectors(x=x, v=v)
-        return v + self.weight * x
-
-    def storage(self, x: np.ndarray, v: np.ndarray) -> float:
-        """
-        Return V_hd/γ [J], equations (3.9) and (3.25).
-
-        Parameters
-        ----------
-        x, v : array_like, shape (n,)
-            Position [m] and velocity [m/s].
-        """
-        stored = device_storage.py_func(self, *self._vectors(x=x, v=v))
-        return float(stored.sum()) / self.force_scaling
-
-    def dissipation(self, x: np.ndarray, v: np.ndarray) -> float:
-        """
-        Return S_hd/γ [W], equation (3.10) with C = 0.
-
-        Parameters
-        ----------
-        x, v : array_like, shape (n,)
-            Position [m] and velocity [m/s].
-        """
-        lost = device_loss.py_func(self, *self._vectors(x=x, v=v))
-        return float(lost.sum()) / self.force_scaling
-
-    def step(
-        self, x: np.ndarray, v: np.ndarray, f_h: np.ndarray, f_m: np.ndarray, sample_time: float
-    ) -> tuple[np.ndarray, np.ndarray, float]:
-        """
-        Return the state one sample later by the implicit midpoint rule, and the energy supplied
-        over the sample.
-
-        Storage, dissipation at the midpoint and supply balance to rounding: V(k+1) − V(k) = supply
-        − T S_hd(midpoint).
-
-        Parameters
-        ----------
-        x, v : array_like, shape (n,)
-            Position [m] and velocity [m/s].
-        f_h : array_like, shape (n,)
-            Force of the operator's hand [N], held over the sample.
-        f_m : array_like, shape (n,)
-            Force feedback [N] before the static scaling, f''_m, held over the sample.
-        sample_time : float
-            T [s], positive.
-
-        Returns
-        -------
-        x, v : numpy.ndarray, shape (n,)
-            Position and velocity after the sample.
-        supply : float
-            T (r''_mᵀ f_h − r_mᵀ f''_m) at the midpoint [J].
-
-        Raises
-        ------
-        ValueError
-            If an argument is not finite or has the wrong shape, or `sample_time` is not positive.
-        """
-        x, v, f_h, f_m = self._vectors(x=x, v=v, f_h=f_h, f_m=f_m)
-        T, feedback = positive("sample_time", sample_time), self.force_scaling * f_m
-        axes = held_device.py_func(self, NO_ARM, T)
-        middle = midpoint_velocity.py_func(axes, x, v, f_h, feedback)
-        r_m = self.output(x + 0.5 * T * middle, middle)
-        supply = T * float(r_m @ (f_h - feedback)) / self.force_scaling
-        return x + T * middle, 2.0 * middle - v, supply
-
-    def _vectors(self, **vectors) -> list[np.ndarray]:
-        """Return the arguments as finite vectors of the same length."""
-        length = np.size(vectors["x"])
-        return [finite_array(name, values, length=length) for name, values in vectors.items()]
+        return (self.damping + self.port_damping) / self.weight
 
 
 # --- the passivity controller of a port, (3.19)-(3.20) ------------------------------------------

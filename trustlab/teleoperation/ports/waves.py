@@ -41,6 +41,13 @@ def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
+@block(_nrt=False)
+def copy(source, target):
+    """Copy a vector into another one."""
+    for i in range(3):
+        target[i] = source[i]
+
+
 # With `Scattering.at_operator` and `.at_robot` these four are the only place of the wave equations.
 
 
@@ -169,11 +176,6 @@ class Scattering(Checked):
 
 # --- waves that arrive late ---------------------------------------------------------------------
 
-HOLD = 0
-INTERPOLATED = 1
-LEDGER = 2
-READ_OUTS = {"hold": HOLD, "interpolated": INTERPOLATED, "ledger": LEDGER}
-
 # The ledger of one direction: first sample not yet booked, energy in hand [J], latest sample that
 # was read.
 ACCOUNT = np.dtype([("unbooked", np.int64), ("balance", float), ("latest", float)])
@@ -209,28 +211,17 @@ def amplitude(energy, balance, pace):
 # no reference counts (_nrt): they are atomic, and would take a third of the teleoperation loop's
 # time
 @block(_nrt=False)
-def read_wave(sent, arrives, k, delay, gain, read_out, sample_time, account, out):
+def read_wave(sent, arrives, k, delay, sample_time, account, out):
     """
-    Read the wave that arrives in sample k, sent `delay` samples before, into `out`.
+    Read the newest wave that has arrived in sample k, sent `delay` samples before, into `out`,
+    with no more energy than its account, a record of ACCOUNT, holds.
 
     sent, shape (N, n): waves by the sample they were sent in. arrives, shape (N,): whether they
-    arrive at all. account: a record of ACCOUNT, used by the "ledger" read-out alone. What was lost,
-    or not yet sent, is read as zero.
+    arrive at all.
     """
     n = sent.shape[1]
     where = k - delay
     first = int(np.floor(where))
-    part = where - first
-    if read_out != LEDGER:
-        share = 1.0 if read_out == HOLD else 1.0 - part
-        for i in range(n):
-            out[i] = 0.0
-            if first >= 0 and arrives[first]:
-                out[i] = share * sent[first, i]
-            if share < 1.0 and first >= -1 and arrives[first + 1]:
-                out[i] += part * sent[first + 1, i]
-            out[i] *= gain
-        return
     while account.unbooked <= first:  # each packet is booked once, when it has arrived
         if arrives[account.unbooked]:
             for i in range(n):
@@ -253,10 +244,10 @@ def read_wave(sent, arrives, k, delay, gain, read_out, sample_time, account, out
 
 
 @block(_nrt=False)
-def read_waves(u_l, u_r, arrives, k, delays, gain, read_out, sample_time, accounts, v_l, v_r):
+def read_waves(u_l, u_r, arrives, k, delays, sample_time, accounts, v_l, v_r):
     """Read the waves that arrive at both ends in sample k, (3.16), into `v_l` and `v_r`."""
-    read_wave(u_l, arrives[0], k, delays[0, k], gain, read_out, sample_time, accounts[0], v_r)
-    read_wave(u_r, arrives[1], k, delays[1, k], gain, read_out, sample_time, accounts[1], v_l)
+    read_wave(u_l, arrives[0], k, delays[0, k], sample_time, accounts[0], v_r)
+    read_wave(u_r, arrives[1], k, delays[1, k], sample_time, accounts[1], v_l)
 
 
 class EnergyLedger:

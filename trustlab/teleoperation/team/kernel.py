@@ -15,7 +15,7 @@ from trustlab.models.records import AXES, block, columns_of, record, step
 from trustlab.models.trust import logistic_scale, trust_step
 from trustlab.teleoperation.ports import device as haptic, waves
 from trustlab.teleoperation.ports.device import DEVICE
-from trustlab.teleoperation.ports.waves import END, LEDGER, dot, read_waves
+from trustlab.teleoperation.ports.waves import END, copy, dot, read_waves
 
 BLOCKS = ("the haptic device", "the channel", "the team")
 
@@ -46,10 +46,7 @@ ARRIVED = "error way v_l v_r open_force"
 # what a robot's neighbours pull it by.
 SIGNALS = "channel_force aim pulled"
 # The hand's spring [N/m], powers of this sample [W], and what is dissipated in it.
-POWERS = (
-    "spring seen_power near_power far_power hand_power device_power device_loss team_loss "
-    "error_loss"
-)
+POWERS = "spring seen_power near_power far_power device_loss team_loss error_loss"
 # The graph of the sample before, and the robot for which the operator's end of the channel is set.
 WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=POWERS, counts="graph head")
 # What both ends read and leave; it begins with the row of the log, so that energies since the start
@@ -70,12 +67,11 @@ LOW_PASS = record(numbers="decay gate k12 k21")
 # What comes in goes out.
 UNFILTERED = (0.0, 1.0, 0.0, 0.0)
 
-# Device, two-port or none, filter of waves, operator and how delays are read; see `TeamSettings`
-# and `TeamOperator`.
+# Device, two-port or none, filter of waves, and operator; see `TeamSettings` and `TeamOperator`.
 NUMBERS = record(
     vectors="goal",
     numbers=(
-        "sample_time gain cutoff push grip reach drag budget reserve error_range steepness "
+        "sample_time cutoff push grip reach drag budget reserve error_range steepness "
         "lead_gain force_gain"
     ),
     counts="vision per_decision per_row",
@@ -200,9 +196,8 @@ def receive(n, setup, lead, k, state, now):
     """Set the waves that arrive at both ends, (3.16), filtered where waves are."""
     for way in range(2):
         state.arrives[way, k] = setup.draws[way, k] >= setup.robots[lead].loss
-    waves_there = state.u_l, state.u_r, state.arrives
-    how = n.gain, LEDGER, n.sample_time
-    read_waves(*waves_there, k, setup.delays, *how, state.accounts, now.v_l, now.v_r)
+    sent, how = (state.u_l, state.u_r), (n.sample_time, state.accounts)
+    read_waves(*sent, state.arrives, k, setup.delays, *how, now.v_l, now.v_r)
     if n.filtering:
         filter_wave(n.low_pass, now.v_r, now.filtered_r)
         filter_wave(n.low_pass, now.v_l, now.filtered_l)
@@ -254,7 +249,7 @@ def operator_side(n, end, spendable, state, u_l):
         square = mobility * (1.0 - n.drag * mobility) * dot(state.aim, state.aim)
         still = dot(state.r_m, state.r_m)
         state.push = push_share(spendable, power, pull, square, still, n.drag)  # (4.30)
-    state.device_power = state.device_loss = state.near_power = 0.0
+    state.device_loss = state.near_power = 0.0
     for i in AXES:
         state.r_m[i] += mobility * state.push * state.aim[i]
         state.f_m[i] += resistance * state.r_m[i]
@@ -270,12 +265,10 @@ def operator_side(n, end, spendable, state, u_l):
         state.middle[i] = v_middle
         x_middle = x + 0.5 * n.sample_time * v_middle
         state.device_loss += haptic.device_loss(device, x_middle, v_middle)  # (3.10)
-        state.device_power += state.r_m[i] * (state.f_h[i] - state.f_m[i])
         state.near_power += velocity * force
         passed_force = state.f_m[i] - filters.k21 * state.r_m[i]
         state.near_velocity[i] = 2.0 * passed - state.near_velocity[i]
         state.near_force[i] = 2.0 * passed_force - state.near_force[i]
-    state.hand_power = dot(state.r_m, state.f_h)
 
 
 @step
@@ -385,18 +378,18 @@ def rate_motion(n, robots, drift, state):
 def account_energy(n, seen_loss, state):
     """Step the device, and book the energy of every port; `seen_loss` is that of the picture."""
     T = n.sample_time
-    filter_power = 0.0
     for i in AXES:
         state.device[i] += T * state.middle[i]
         state.device_velocity[i] = 2.0 * state.middle[i] - state.device_velocity[i]
-        filter_power += state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i]
-    state.v_h += T * (state.seen_power - state.hand_power)  # (4.30)
-    state.v_ch += T * (state.near_power - state.far_power)  # (4.15)
-    state.supply_team += T * dot(state.r_s, state.f_s)
+    hand, port = dot(state.r_m, state.f_h), dot(state.r_m, state.f_m)
+    team, channel = dot(state.r_s, state.f_s), state.near_power - state.far_power
+    state.v_h += T * (state.seen_power - hand)  # (4.30)
+    state.v_ch += T * channel  # (4.15)
+    state.supply_team += T * team
     state.supply_error += T * dot(state.r_s, state.leader)
-    state.supply_hand += T * state.hand_power
-    state.supply_device += T * state.device_power
-    state.supply_filter += T * (filter_power - state.near_power + state.far_power)
+    state.supply_hand += T * hand
+    state.supply_device += T * (hand - port)
+    state.supply_filter += T * (port - team - channel)
     state.lost_device += T * state.device_loss
     state.lost_team += T * state.team_loss
     state.lost_error += T * state.error_loss
@@ -417,8 +410,7 @@ def diverged(state):
 def log_places(state, places):
     """Log where the robots are."""
     for j in range(state.trust.size):
-        for i in AXES:
-            places[j, i] = state.q[j, i]
+        copy(state.q[j], places[j])
 
 
 @njit(error_model="numpy", _nrt=False)
@@ -460,8 +452,8 @@ def lead_team(first, stop, setup, state, inputs, log):
             now.v_fs = stored_by(setup, graph, state)
         move(n, matrices, leader, lead, drift, state, now)
         sample.stored, sample.lost = now.v_e, now.error_loss
-        for i in AXES:
-            sample.sent[i], sample.seen[i] = now.r_s[i], now.leader[i]
+        copy(now.r_s, sample.sent)
+        copy(now.leader, sample.seen)
         if shown:
             now.v_e_delayed = past.stored
             stored = now.v_h + n.budget + now.v_hd + now.v_ch + now.v_fs
