@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.signal import freqresp
 
-from trustlab.teleoperation.ports import device
-from trustlab.teleoperation.ports.device import HapticDevice, PassivityError
+from trustlab.teleoperation import ports
+from trustlab.teleoperation.ports import HapticDevice, PassivityError
 
 PRELIMINARY = {"damping": 0.55, "stiffness": 100.0, "weight": 60.0}
 MAIN = {"damping": 5.5, "stiffness": 20.0, "weight": 10.0}
@@ -22,15 +22,15 @@ def test_samples_are_those_of_the_equations_and_balance_to_rounding(seed):
     rng = np.random.default_rng([31, seed])
     m, w, k = rng.uniform([0.05, 0.5, 0.0], [2.0, 20.0, 50.0])
     b = rng.uniform(1.0, 2.0) * m * w
-    axis = device.held_device(HapticDevice(m, b, k, w), 0.01)
+    axis = ports.held_device(HapticDevice(m, b, k, w), 0.01)
     a, whole = 0.005 * np.array([[0.0, 1.0], [-k / m, -b / m]]), np.eye(2)
     x, v = rng.normal(size=2)
     for _ in range(200):
         f_h, f_m = rng.normal(size=2)
-        old, energy = np.array([x, v]), device.device_storage(axis, x, v)
-        middle = device.midpoint_velocity(axis, x, v, f_h, f_m)
+        old, energy = np.array([x, v]), ports.device_storage(axis, x, v)
+        middle = ports.midpoint_velocity(axis, x, v, f_h, f_m)
         place = x + 0.005 * middle
-        r = device.free_output(axis, x, v, f_h - f_m)
+        r = ports.free_output(axis, x, v, f_h - f_m)
         assert r == pytest.approx(middle + w * place, rel=1e-9, abs=1e-12)
         x, v = x + 0.01 * middle, 2.0 * middle - v
         pushed = np.array([0.0, 0.01 * (f_h - f_m) / m])
@@ -38,8 +38,8 @@ def test_samples_are_those_of_the_equations_and_balance_to_rounding(seed):
         assert_allclose([x, v], expected, rtol=1e-10, atol=1e-12)
         r_after = v + w * x
         stored = 0.5 * (m * r_after**2 + (k + w * b - w * m * w) * x**2)
-        assert device.device_storage(axis, x, v) == pytest.approx(stored, rel=1e-12)
-        lost = device.device_loss(axis, place, middle)
+        assert ports.device_storage(axis, x, v) == pytest.approx(stored, rel=1e-12)
+        lost = ports.device_loss(axis, place, middle)
         assert lost == pytest.approx((b - m * w) * middle**2 + w * k * place**2)
         supply = 0.01 * r * (f_h - f_m)
         balance = stored - energy + 0.01 * lost - supply

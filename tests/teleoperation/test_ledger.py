@@ -9,16 +9,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import interp1d
 
-from trustlab.teleoperation.channel import channel_run, read_with_gain
+from trustlab.teleoperation.channel import WINDOW, EnergyLedger, channel_run, read_with_gain
 from trustlab.teleoperation.delays import Delay
-from trustlab.teleoperation.ports.waves import (
-    WINDOW,
-    EnergyLedger,
-    Scattering,
-    accounts,
-    dot,
-    read_wave,
-)
+from trustlab.teleoperation.ports import Scattering, accounts, dot, read_wave
 
 T, N = 0.01, 4000
 

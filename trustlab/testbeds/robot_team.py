@@ -26,8 +26,7 @@ from trustlab.models.simulation import Loop, Simulation, View, asked, filled
 from trustlab.models.trust import trust_step
 from trustlab.teleoperation.delays import both_ways, delays_in_samples
 from trustlab.teleoperation.filters import corrected_filter
-from trustlab.teleoperation.ports.device import held_device
-from trustlab.teleoperation.ports.waves import accounts
+from trustlab.teleoperation.ports import accounts, held_device
 from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.decisions import (
     SLACK,

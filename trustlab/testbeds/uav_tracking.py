@@ -75,8 +75,7 @@ from trustlab.teleoperation.loop.settings import (
     study_named,
     vehicle_matrices,
 )
-from trustlab.teleoperation.ports.device import METHODS, held_device
-from trustlab.teleoperation.ports.waves import accounts
+from trustlab.teleoperation.ports import METHODS, accounts, held_device
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 

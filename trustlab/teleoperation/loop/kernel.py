@@ -16,9 +16,8 @@ from trustlab.allocation.blending import DEGREE
 from trustlab.models.compiled import njit
 from trustlab.models.records import AXES, columns_of, record, step
 from trustlab.models.trust import logistic_scale, trust_step
-from trustlab.teleoperation.ports import device as haptic, waves
-from trustlab.teleoperation.ports.device import activation, demanded
-from trustlab.teleoperation.ports.waves import END, copy, dot, read_waves
+from trustlab.teleoperation import ports
+from trustlab.teleoperation.ports import END, activation, copy, demanded, dot, read_waves
 
 # A row of the log: the state before the sample and the signals of the sample.
 LOGGED = record(
@@ -82,7 +81,7 @@ NUMBERS = record(
     trust_rh=TRUST,
     hand=HAND,
     auto=AUTONOMY,
-    device=haptic.DEVICE,
+    device=ports.DEVICE,
     near=END,
     far=END,
     # per axis, the exact (position, velocity, acceleration) a sample later from these and a command
@@ -109,7 +108,7 @@ class LoopState(NamedTuple):
     What samples hand on; changed in place.
 
     whole, shape (1,): a record of STATE. sent, shape (2, K, 3): waves by the sample that they were
-    sent in, to the robot and back. accounts: `waves.accounts()`.
+    sent in, to the robot and back. accounts: `ports.accounts()`.
     """
 
     whole: np.ndarray
@@ -340,7 +339,7 @@ def push(c, s, external):
         shaking = hand.noise * external.motor[i] * (1.0 + abs(s.wish[i]))
         s.force[i] = device.held_stiffness * goal + shaking + external.push[i]
         x, v = now.device[i], now.device_velocity[i]
-        s.free_output[i] = haptic.free_output(device, x, v, s.force[i])
+        s.free_output[i] = ports.free_output(device, x, v, s.force[i])
 
 
 # How guidance reaches the operator: both ends of the channel are solved, each with the port behind
@@ -379,7 +378,7 @@ def solve_operator_end(c, s):
         free = s.free_output[i] - c.admittance * guiding
         now.r_m[i] = free / loaded - through * s.v_l[i]
         # (3.12), (3.22)
-        now.f_m[i] = guiding + now.beta * waves.operator_force(near, now.r_m[i], s.v_l[i])
+        now.f_m[i] = guiding + now.beta * ports.operator_force(near, now.r_m[i], s.v_l[i])
 
 
 @step
@@ -390,7 +389,7 @@ def guide_through_channel(c, s):
     now, far = s.now, c.far
     for i in AXES:
         s.pull[i] = now.f_s[i] = s.guiding[i]
-        now.r_s[i] = now.alpha * waves.robot_velocity(far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
+        now.r_s[i] = now.alpha * ports.robot_velocity(far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
     gain = dot(now.r_s, now.r_s) * far.b / now.alpha
     share = passivity_share(c.guard, now.energy_robot, now.r_s, now.f_s, gain, c.sample_time)
     if share < 1.0:
@@ -420,7 +419,7 @@ def guide_at_operator(c, s):
         if share < 1.0:
             now.r_m[i] = share * now.r_m[i]
             now.f_m[i] = (s.free_output[i] - now.r_m[i]) / c.admittance
-        now.r_s[i] = now.alpha * waves.robot_velocity(c.far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
+        now.r_s[i] = now.alpha * ports.robot_velocity(c.far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
     now.port_share = share
 
 
@@ -449,15 +448,15 @@ def account(k, c, s, external, sent):
         x, v = now.device[i], now.device_velocity[i]
         r_m, f_m = now.r_m[i], now.f_m[i]
         r_s, f_s = now.r_s[i], now.f_s[i]
-        sent[0, k, i] = waves.operator_wave(c.near, r_m, s.v_l[i])  # (3.22)
-        sent[1, k, i] = waves.robot_wave(c.far, f_s, s.v_r[i])  # (3.22)
+        sent[0, k, i] = ports.operator_wave(c.near, r_m, s.v_l[i])  # (3.22)
+        sent[1, k, i] = ports.robot_wave(c.far, f_s, s.v_r[i])  # (3.22)
         # (3.8)
-        v_middle = haptic.midpoint_velocity(device, x, v, s.force[i], f_m)
+        v_middle = ports.midpoint_velocity(device, x, v, s.force[i], f_m)
         s.middle[i], x_middle = v_middle, x + 0.5 * T * v_middle
         held = s.force[i] - hand.stiffness * x_middle - hand.damping * v_middle
         now.f_h[i] = held - hand.mass * (2.0 * (v_middle - v) / T)
         # what the channel's end gives, (3.12) and (3.22); guidance and its guard give the rest
-        end = now.beta * waves.operator_force(c.near, r_m, s.v_l[i]) if bilateral else 0.0
+        end = now.beta * ports.operator_force(c.near, r_m, s.v_l[i]) if bilateral else 0.0
         now.guide[i] = f_m - now.beta * c.near.b * r_m if bilateral else 0.0
         now.energy_operator += T * r_m * now.f_h[i]
         now.energy_port += T * r_m * f_m
@@ -466,9 +465,9 @@ def account(k, c, s, external, sent):
         now.energy_guidance += T * r_m * (f_m - end)
         now.energy_robot += T * r_s * f_s
         now.energy_target -= T * s.pull[i] * external.reference_velocity[i]
-        now.energy_dissipated += T * haptic.device_loss(device, x_middle, v_middle)
+        now.energy_dissipated += T * ports.device_loss(device, x_middle, v_middle)
         after = x + T * v_middle, 2.0 * v_middle - v
-        now.energy_device += haptic.device_storage(device, *after)  # (3.9)
+        now.energy_device += ports.device_storage(device, *after)  # (3.9)
         # What the vehicle is told: α u_h + (1 − α) u_a, the operator's share being r_s = α u_h.
         now.u_h[i] = r_s / now.alpha
         s.command[i] = r_s + (1.0 - now.alpha) * now.u_a[i]

@@ -36,8 +36,7 @@ from trustlab.teleoperation.loop.kernel import (
     STATE,
     STEPS,
 )
-from trustlab.teleoperation.ports.device import METHODS, HapticDevice
-from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.ports import METHODS, HapticDevice, Scattering
 
 # By how much, as a share, scales and trust may lie beyond their bounds, for rounding.
 SLACK = 1e-12

@@ -13,9 +13,8 @@ import numpy as np
 from trustlab.models.compiled import njit
 from trustlab.models.records import AXES, block, columns_of, record, step
 from trustlab.models.trust import logistic_scale, trust_step
-from trustlab.teleoperation.ports import device as haptic, waves
-from trustlab.teleoperation.ports.device import DEVICE
-from trustlab.teleoperation.ports.waves import END, copy, dot, read_waves
+from trustlab.teleoperation import ports
+from trustlab.teleoperation.ports import DEVICE, END, copy, dot, read_waves
 
 BLOCKS = ("the haptic device", "the channel", "the team")
 
@@ -109,7 +108,7 @@ TeamSetup = namedtuple(
 # distance to the goal and ζ, over √s. middle, shape (N, 3): q in the middle of the sample, first as
 # if the leader were not driven. rated, shape (N,): how well robots moved in the last sample before
 # a decision. trust, shape (N,): in the operator, (4.2). arrives, shape (2, K): whether waves do.
-# u_l, u_r, shape (K, 3): waves. accounts: `waves.accounts()`.
+# u_l, u_r, shape (K, 3): waves. accounts: `ports.accounts()`.
 TeamState = namedtuple("TeamState", "now shown q zeta middle rated trust arrives u_l u_r accounts")
 
 # samples, shape (K,): records of SAMPLE. table, shape (rows,): records of STATE, every `per_row`
@@ -141,7 +140,7 @@ def store_energy(n, state, now):
     now.v_hd = squares = 0.0
     for i in AXES:
         # (3.9)
-        now.v_hd += haptic.device_storage(n.device, now.device[i], now.device_velocity[i])
+        now.v_hd += ports.device_storage(n.device, now.device[i], now.device_velocity[i])
     for j in range(state.trust.size):
         squares += dot(state.q[j], state.q[j]) + dot(state.zeta[j], state.zeta[j])
     now.v_e = 0.5 * squares / n.lead_gain  # (4.29)
@@ -236,11 +235,11 @@ def operator_side(n, end, spendable, state, u_l):
     pushing = state.spring * np.sqrt(dot(state.way, state.way))
     spring = state.spring * min(1.0, n.reach / pushing) if pushing > 0.0 else 0.0
     for i in AXES:  # f_m and r_m as if the hand did not push
-        held = waves.operator_force(end, filters.decay * state.near_velocity[i], state.v_l[i])
+        held = ports.operator_force(end, filters.decay * state.near_velocity[i], state.v_l[i])
         state.channel_force[i] = state.beta * held / loaded  # (3.22), (3.12)
         state.f_m[i] = middle_of(filters, state.channel_force[i], state.near_force[i])
         x, v = state.device[i], state.device_velocity[i]
-        state.r_m[i] = haptic.free_output(device, x, v, -state.f_m[i]) / under
+        state.r_m[i] = ports.free_output(device, x, v, -state.f_m[i]) / under
         state.aim[i] = spring * state.way[i]
     state.push = 1.0
     if n.guarded:
@@ -258,13 +257,13 @@ def operator_side(n, end, spendable, state, u_l):
         force = state.channel_force[i] + echo * state.r_m[i]
         passed = middle_of(filters, state.r_m[i], state.near_velocity[i])
         velocity = passed - filters.k12 * force
-        u_l[i] = waves.operator_wave(end, velocity, state.v_l[i])  # (3.22)
+        u_l[i] = ports.operator_wave(end, velocity, state.v_l[i])  # (3.22)
         x, v = state.device[i], state.device_velocity[i]
         # (4.6)
-        v_middle = haptic.midpoint_velocity(device, x, v, state.f_h[i], state.f_m[i])
+        v_middle = ports.midpoint_velocity(device, x, v, state.f_h[i], state.f_m[i])
         state.middle[i] = v_middle
         x_middle = x + 0.5 * n.sample_time * v_middle
-        state.device_loss += haptic.device_loss(device, x_middle, v_middle)  # (3.10)
+        state.device_loss += ports.device_loss(device, x_middle, v_middle)  # (3.10)
         state.near_power += velocity * force
         passed_force = state.f_m[i] - filters.k21 * state.r_m[i]
         state.near_velocity[i] = 2.0 * passed - state.near_velocity[i]
@@ -288,12 +287,12 @@ def robot_side(filters, end, stiffness, state, u_r):
         loose = filters.decay * state.far_velocity[i]
         offset = (loose - filters.k12 * state.open_force[i]) / under
         held = middle_of(filters, state.open_force[i] + stiffness * offset, state.far_force[i])
-        free = waves.robot_velocity(end, held, state.v_r[i])
+        free = ports.robot_velocity(end, held, state.v_r[i])
         velocity = free / (1.0 + resistance / end.b)  # (3.22), α = 1
         force = held + resistance * velocity
         state.r_s[i] = offset + share * velocity
         state.f_s[i] = state.open_force[i] + stiffness * state.r_s[i]  # (4.24)
-        u_r[i] = waves.robot_wave(end, force, state.v_r[i])  # (3.22)
+        u_r[i] = ports.robot_wave(end, force, state.v_r[i])  # (3.22)
         state.far_power += velocity * force
         passed = loose + filters.gate * velocity
         passed_force = force - filters.k21 * velocity
