@@ -33,7 +33,7 @@ class Topic(Checked):
     type : str
         The type of its messages, for example "nav_msgs/msg/Odometry".
     fields : tuple of str
-        Where the numbers stand in a message, as in a recipe: "pose.pose.position.x", "axes[1]".
+        Where the numbers stand in a message: "pose.pose.position.x", "axes[1]".
     scale : tuple of float
         What the numbers are multiplied with, one for each field; 1 where it is left out.
     stamp : {"header", "receive"}
@@ -68,8 +68,11 @@ class Topic(Checked):
     def places(self) -> list[tuple[list, float]]:
         """The steps that lead to each field, and its scale."""
         scales = self.scale or (1.0,) * len(self.fields)
-        paths = [FieldPath(text).steps for text in self.fields]
-        return list(zip(paths, scales, strict=True))
+        paths = [FieldPath(text) for text in self.fields]
+        for path in paths:
+            if path.yaw or path.selectors:
+                raise ValueError(f"{path.text!r} is no plain field, as 'twist.linear.x' or 'axes[1]'")
+        return list(zip([path.steps for path in paths], scales, strict=True))
 
     def numbers(self, message: Any) -> tuple[float, ...]:
         """
