@@ -71,7 +71,7 @@ class Topic(Checked):
         paths = [FieldPath(text) for text in self.fields]
         for path in paths:
             if path.yaw or path.selectors:
-                raise ValueError(f"{path.text!r} is no plain field, as 'twist.linear.x' or 'axes[1]'")
+                raise ValueError(f"{path.text!r} is no plain field, like 'linear.x' or 'axes[1]'")
         return list(zip([path.steps for path in paths], scales, strict=True))
 
     def numbers(self, message: Any) -> tuple[float, ...]:
