@@ -84,6 +84,7 @@ REFUSED = [
         lambda: simulate_team({0.0: PATH, 100.0: nx.cycle_graph(3)}, duration=20.0),
         "from t = 100 s on would do nothing in a run of 20 s",
     ),
+    (lambda: simulate_team(nx.MultiGraph([(0, 1), (0, 1)])), "parallel edges"),
     (lambda: simulate_team(nx.DiGraph([(0, 1), (0, 2)])), "it has no spanning tree"),
     (lambda: simulate_team(np.array([[0.0, -1.0], [-1.0, 0.0]])), "from 0 to 1 it is -1.0"),
     (lambda: simulate_team(PATH, GivenSequence(["z", 0])), "'z', which does not exist"),

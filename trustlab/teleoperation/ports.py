@@ -1,8 +1,8 @@
 """
 What stands at the ports of a teleoperation loop, with its compiled equations: the scattering
 transformation with variable power scaling, (3.12)-(3.14) and (3.22), and how its waves are read
-when they arrive late; the haptic device with its passivating loop, (3.8)-(3.11); and the passivity
-controller of a port, (3.19)-(3.20).
+when they arrive late; the haptic device with its passivating loop, (3.8)-(3.11), and static force
+scaling, (3.25); and the passivity controller of a port, (3.19)-(3.20).
 """
 
 import math
@@ -293,7 +293,9 @@ def free_force(device, x, v, force):
 
 @block
 def midpoint_velocity(device, x, v, force, feedback):
-    """Return the velocity at the middle of the sample under the hand's force and the feedback."""
+    """
+    Return the velocity at the middle of the sample under the hand's force and the scaled feedback.
+    """
     return (free_force(device, x, v, force) - feedback) / device.inertia
 
 
@@ -308,7 +310,7 @@ def free_output(device, x, v, force):
 
 @block
 def device_storage(device, x, v):
-    """Return the storage of one axis, (3.9) [J]."""
+    """Return the storage of one axis, (3.9), before static scaling [J]."""
     r = v + device.weight * x
     spare = device.stiffness + device.weight * (device.damping - device.mass * device.weight)
     return 0.5 * (device.mass * r * r + spare * x * x)
@@ -316,7 +318,9 @@ def device_storage(device, x, v):
 
 @block
 def device_loss(device, x_middle, v_middle):
-    """Return the power dissipated on one axis at the midpoint, (3.10) with C = 0 [W]."""
+    """
+    Return the power dissipated on one axis at the midpoint, (3.10), before static scaling [W].
+    """
     damped = (device.damping - device.mass * device.weight) * v_middle**2
     return damped + device.weight * device.stiffness * x_middle**2
 
@@ -330,8 +334,8 @@ class HapticDevice(Checked):
     """
     A haptic device made r-passive by a local PD loop, equations (3.8)-(3.11).
 
-    M dv/dt = −B v − K x + f_h − f_m with the output r_m = v + Λ x, axis by axis. With B ≥ MΛ and
-    K + ΛB ≥ ΛMΛ it is passive with the storage V_hd = ½ Σ (M r_m² + (K + ΛB − ΛMΛ) x²). The
+    M dv/dt = −B v − K x + f_h − γ f''_m with the output r_m = v + Λ x, axis by axis. With B ≥ MΛ
+    and K + ΛB ≥ ΛMΛ it is passive with the storage V_hd = ½ Σ (M r_m² + (K + ΛB − ΛMΛ) x²). The
     inertia is constant, so that C(x, v) = 0.
 
     Parameters
@@ -340,6 +344,8 @@ class HapticDevice(Checked):
         M [kg], B [N s/m] and Λ [1/s], positive; the same on all axes.
     stiffness : float
         K [N/m], 0 or more.
+    force_scaling : float
+        γ of (3.25), static scaling of the force feedback; positive.
     port_damping : float
         Least damping that the channel adds at the port, β_min b (Section 3.7.2) [N s/m]; counted in
         the conditions.
@@ -355,7 +361,8 @@ class HapticDevice(Checked):
 
     Notes
     -----
-    Saeidi, Section 3.4. `simulate_teleoperation` steps the device.
+    Saeidi, Section 3.4 and Proposition 2. The supply that (3.11) gives is r''_mᵀ f_h − r_mᵀ f''_m
+    with r''_m = r_m/γ; (3.25) is printed with a plus.
 
     Examples
     --------
@@ -369,13 +376,14 @@ class HapticDevice(Checked):
     damping: Positive
     stiffness: NotNegative
     weight: Positive
+    force_scaling: Positive = 1.0
     port_damping: NotNegative = 0.0
     require_passive: bool = True
 
     def __post_init__(self):
         super().__post_init__()
         if self.require_passive and not self.is_passive:
-            damping = self.mass * self.weight - self.port_damping
+            damping = self.mass * self.weight - self.force_scaling * self.port_damping
             raise PassivityError(
                 "the device is not r-passive: B ≥ MΛ and K + ΛB ≥ ΛMΛ (3.9)-(3.10) hold up to "
                 f"{rounded_down(self.largest_mass(), 4):g} kg only, and it has {self.mass:.4g} kg; "
@@ -391,7 +399,88 @@ class HapticDevice(Checked):
     def largest_mass(self) -> float:
         """Return the largest mass [kg] that is r-passive with these gains."""
         # From B ≥ MΛ follows K + ΛB ≥ ΛMΛ, for K is not negative.
-        return (self.damping + self.port_damping) / self.weight
+        return (self.damping + self.force_scaling * self.port_damping) / self.weight
+
+    def output(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """
+        Return r_m = v + Λ x [m/s].
+
+        Parameters
+        ----------
+        x, v : array_like, shape (n,)
+            Position [m] and velocity [m/s].
+        """
+        x, v = self._vectors(x=x, v=v)
+        return v + self.weight * x
+
+    def storage(self, x: np.ndarray, v: np.ndarray) -> float:
+        """
+        Return V_hd/γ [J], equations (3.9) and (3.25).
+
+        Parameters
+        ----------
+        x, v : array_like, shape (n,)
+            Position [m] and velocity [m/s].
+        """
+        stored = device_storage.py_func(self, *self._vectors(x=x, v=v))
+        return float(stored.sum()) / self.force_scaling
+
+    def dissipation(self, x: np.ndarray, v: np.ndarray) -> float:
+        """
+        Return S_hd/γ [W], equation (3.10) with C = 0.
+
+        Parameters
+        ----------
+        x, v : array_like, shape (n,)
+            Position [m] and velocity [m/s].
+        """
+        lost = device_loss.py_func(self, *self._vectors(x=x, v=v))
+        return float(lost.sum()) / self.force_scaling
+
+    def step(
+        self, x: np.ndarray, v: np.ndarray, f_h: np.ndarray, f_m: np.ndarray, sample_time: float
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """
+        Return the state one sample later by the implicit midpoint rule, and the energy supplied
+        over the sample.
+
+        Storage, dissipation at the midpoint and supply balance to rounding: V(k+1) − V(k) = supply
+        − T S_hd(midpoint).
+
+        Parameters
+        ----------
+        x, v : array_like, shape (n,)
+            Position [m] and velocity [m/s].
+        f_h : array_like, shape (n,)
+            Force of the operator's hand [N], held over the sample.
+        f_m : array_like, shape (n,)
+            Force feedback [N] before the static scaling, f''_m, held over the sample.
+        sample_time : float
+            T [s], positive.
+
+        Returns
+        -------
+        x, v : numpy.ndarray, shape (n,)
+            Position and velocity after the sample.
+        supply : float
+            T (r''_mᵀ f_h − r_mᵀ f''_m) at the midpoint [J].
+
+        Raises
+        ------
+        ValueError
+            If an argument is not finite or has the wrong shape, or `sample_time` is not positive.
+        """
+        x, v, f_h, f_m = self._vectors(x=x, v=v, f_h=f_h, f_m=f_m)
+        T, feedback = positive("sample_time", sample_time), self.force_scaling * f_m
+        middle = midpoint_velocity(held_device(self, T), x, v, f_h, feedback)
+        r_m = self.output(x + 0.5 * T * middle, middle)
+        supply = T * float(r_m @ (f_h - feedback)) / self.force_scaling
+        return x + T * middle, 2.0 * middle - v, supply
+
+    def _vectors(self, **vectors) -> list[np.ndarray]:
+        """Return the arguments as finite vectors of the same length."""
+        length = np.size(vectors["x"])
+        return [finite_array(name, values, length=length) for name, values in vectors.items()]
 
 
 # --- the passivity controller of a port, (3.19)-(3.20) ------------------------------------------

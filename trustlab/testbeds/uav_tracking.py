@@ -404,7 +404,7 @@ class TeleoperationLoop(Loop):
             hand=hand,
             auto=filled(AUTONOMY, task, picture=task.view, delay=late),
             device=device,
-            admittance=device["lever"] / device["inertia"],
+            admittance=settings.force_scaling * device["lever"] / device["inertia"],
             **flies,
         )
         return np.atleast_1d(numbers)

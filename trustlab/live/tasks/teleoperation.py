@@ -144,14 +144,14 @@ class LiveFlight:
         if self.last is None:
             nothing = [0.0, 0.0]
             return about | dict.fromkeys(("target", "robot", "device", "force", "guide"), nothing)
-        now = self.last
+        now, scaling = self.last, -self.settings.force_scaling
         error = now["error"][:2]
         places = {
             "target": error,
             "robot": now["robot"][:2],
             "device": now["device"][:2] / self.reach,
-            "force": -now["f_m"][:2],
-            "guide": -now["guide"][:2],
+            "force": scaling * now["f_m"][:2],
+            "guide": scaling * now["guide"][:2],
         }
         shown = about | {name: np.round(place, 5).tolist() for name, place in places.items()}
         seen = bool((np.abs(error) <= self.task.view).all())

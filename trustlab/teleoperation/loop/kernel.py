@@ -74,8 +74,8 @@ HAND = record(
 AUTONOMY = record(numbers="proportional integral derivative reach picture", counts="delay")
 
 NUMBERS = record(
-    numbers="sample_time guidance steepness command_range error_range budget_energy budget_power "
-    "admittance",
+    numbers="sample_time force_scaling guidance steepness command_range error_range budget_energy "
+    "budget_power admittance",
     counts="window rule law guard guided_at",
     trust_hr=TRUST,
     trust_rh=TRUST,
@@ -439,7 +439,7 @@ def send_output(c, s):
 @step
 def account(k, c, s, external, sent):
     """Send the waves, book the energy of every port and set the robot's command."""
-    T = c.sample_time
+    T, scaling = c.sample_time, c.force_scaling
     hand, device = c.hand, c.device
     now = s.now
     bilateral = c.guided_at != NOWHERE
@@ -451,23 +451,23 @@ def account(k, c, s, external, sent):
         sent[0, k, i] = ports.operator_wave(c.near, r_m, s.v_l[i])  # (3.22)
         sent[1, k, i] = ports.robot_wave(c.far, f_s, s.v_r[i])  # (3.22)
         # (3.8)
-        v_middle = ports.midpoint_velocity(device, x, v, s.force[i], f_m)
+        v_middle = ports.midpoint_velocity(device, x, v, s.force[i], scaling * f_m)
         s.middle[i], x_middle = v_middle, x + 0.5 * T * v_middle
         held = s.force[i] - hand.stiffness * x_middle - hand.damping * v_middle
         now.f_h[i] = held - hand.mass * (2.0 * (v_middle - v) / T)
         # what the channel's end gives, (3.12) and (3.22); guidance and its guard give the rest
         end = now.beta * ports.operator_force(c.near, r_m, s.v_l[i]) if bilateral else 0.0
         now.guide[i] = f_m - now.beta * c.near.b * r_m if bilateral else 0.0
-        now.energy_operator += T * r_m * now.f_h[i]
+        now.energy_operator += T * r_m * now.f_h[i] / scaling  # (3.25)
         now.energy_port += T * r_m * f_m
         s.account += T * r_m * f_m
         now.energy_channel += T * (r_m * end - r_s * f_s)
         now.energy_guidance += T * r_m * (f_m - end)
         now.energy_robot += T * r_s * f_s
         now.energy_target -= T * s.pull[i] * external.reference_velocity[i]
-        now.energy_dissipated += T * ports.device_loss(device, x_middle, v_middle)
+        now.energy_dissipated += T / scaling * ports.device_loss(device, x_middle, v_middle)
         after = x + T * v_middle, 2.0 * v_middle - v
-        now.energy_device += ports.device_storage(device, *after)  # (3.9)
+        now.energy_device += ports.device_storage(device, *after) / scaling  # (3.9)
         # What the vehicle is told: α u_h + (1 − α) u_a, the operator's share being r_s = α u_h.
         now.u_h[i] = r_s / now.alpha
         s.command[i] = r_s + (1.0 - now.alpha) * now.u_a[i]

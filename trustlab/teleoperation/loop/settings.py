@@ -61,6 +61,8 @@ class LoopSettings(Checked):
         (3.2) and (3.3).
     steepness : float
         s_α = s_β of (3.5), at least 10.
+    force_scaling : float
+        γ of (3.25).
     window : float
         W of (3.26) [s].
     command_range, error_range : float
@@ -94,6 +96,7 @@ class LoopSettings(Checked):
     human_to_robot: TrustModel = field(default_factory=lambda: TrustModel(a=0.2, b=0.2))
     robot_to_human: TrustModel = field(default_factory=lambda: TrustModel(a=0.2, b=0.2))
     steepness: Annotated[float, (10.0, 1e6)] = 10.0
+    force_scaling: float = 1.0
     window: Positive = 10.0
     command_range: Positive = 3.0
     error_range: Positive = 3.0
@@ -111,6 +114,7 @@ class LoopSettings(Checked):
             self.damping,
             self.stiffness,
             self.weight,
+            force_scaling=self.force_scaling,
             port_damping=self.scattering.beta_min * self.scattering.b,
             require_passive=self.require_passive,
         )

@@ -44,9 +44,8 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
     ----------
     graph : networkx.Graph, networkx.DiGraph or array_like, shape (N, N)
         Without self-loops, edges from who sees to who is seen; a_ij is the edge's `weight`, 1 where
-        there is none, and the sum of parallel edges. Connected, or, if directed, with a spanning
-        tree: a robot whom all others see, directly or through others. Robots of a matrix are named
-        0 … N − 1.
+        there is none. Connected, or, if directed, with a spanning tree: a robot whom all others
+        see, directly or through others. Robots of a matrix are named 0 … N − 1.
     require_connected : bool
         Refuse a graph in several parts, or without a spanning tree.
 
@@ -57,6 +56,8 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
     """
     require_connected = flag("require_connected", require_connected)
     names, matrix = _matrix(graph)
+    if hasattr(graph, "edges") and len(set(graph.edges())) < graph.number_of_edges():
+        raise GraphError("the graph has parallel edges; pass networkx.Graph(graph)")
     if len(names) < 2:
         raise GraphError(f"a team needs two robots or more, got {len(names)}")
     wrong = ~(np.isfinite(matrix) & (matrix >= 0.0)) | np.diag(matrix.diagonal() != 0.0)
