@@ -62,10 +62,13 @@ def jitter(seed, most=0.6):
     )
 
 
-def assert_device_balances(run, guarded=True):
-    """What is stored and lost in the device is what its two ports supplied, from the log."""
+def assert_device_balances(run, guarded=True, scaling=1.0):
+    """
+    What is stored and lost in the device is what its two ports supplied, from the log; (3.25), with
+    the sign of (3.11).
+    """
     held = run["energy_device"] + run["energy_dissipated"]
-    supplied = T * np.cumsum(power(run, "r_m", "f_h") - power(run, "r_m", "f_m"))
+    supplied = T * np.cumsum(power(run, "r_m", "f_h") / scaling - power(run, "r_m", "f_m"))
     assert_allclose(held, supplied, rtol=1e-10, atol=1e-12 * max(1.0, held.max()))
     assert min(run["energy_device"]) >= 0.0
     assert min(np.diff(run["energy_dissipated"])) >= 0.0

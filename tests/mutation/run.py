@@ -64,11 +64,11 @@ NOTICED_BY = {
     "trust/test_models.py -k 'beta or not (ends or intervals or below or return)'": (
         "trust/dynamics/* trust/interface trust/likelihood trust/panel"
     ),
-    "teleoperation/test_channel.py": "teleoperation/delays teleoperation/ports/waves",
-    "teleoperation/test_haptic_device.py": "teleoperation/ports/device",
+    "teleoperation/test_channel.py": "teleoperation/delays teleoperation/ports",
+    "teleoperation/test_haptic_device.py": "teleoperation/ports",
     "teleoperation/test_leader_policies.py": "teleoperation/team/decisions",
-    "teleoperation/test_ledger.py": "teleoperation/ports/waves",
-    "teleoperation/test_passivity.py": "teleoperation/ports/device teleoperation/stability",
+    "teleoperation/test_ledger.py": "teleoperation/channel teleoperation/ports",
+    "teleoperation/test_passivity.py": "teleoperation/ports teleoperation/stability",
     "operators/test_operators.py": "operators/*",
     "testbeds/test_conditions.py": "testbeds/condition_run testbeds/deciding testbeds/populations "
     "testbeds/testbed testbeds/uav_following allocation/estimates",
@@ -82,7 +82,7 @@ NOTICED_BY = {
     "testbeds/test_team.py": "models/simulation teleoperation/team/settings testbeds/team_run "
     "testbeds/team_testbed",
     "testbeds/test_teleoperation_loop.py": "teleoperation/loop/* testbeds/teleoperation_measures",
-    "testbeds/test_uav_tracking.py": "teleoperation/loop/* teleoperation/ports/device",
+    "testbeds/test_uav_tracking.py": "teleoperation/loop/* teleoperation/ports",
     "studies/test_against_r.py": "studies/mixed studies/repeated_measures",
     "studies/test_designs.py": "studies/order_effects",
     "studies/test_factorial.py": "studies/anova studies/words",
@@ -105,7 +105,7 @@ NOTICED_BY = {
     "live/tasks/test_ground_robot.py": "live/hands",
     "live/tasks/test_tasks.py": "live/hands live/task live/tasks/*",
     "ros/test_decision.py": "ros/core",
-    "ros/test_node.py": "ros/feed ros/recorded ros/run",
+    "ros/test_node.py": "ros/recorded ros/run",
 }
 # Only settings, pages, servers or caches, though they have tests of their own.
 LEFT_OUT = {

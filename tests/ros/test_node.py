@@ -466,6 +466,8 @@ def test_a_toml_file_states_a_run(tmp_path):
         ("/base/odom", "/cmd_vel", "command: /cmd_vel is taken"),
         ('topic = "/base/odom"', "scale = [nan, 1]", "[topics.odometry] scale must be finite"),
         ("[topics]", "[topics.command]\nbest_effort = true\n[topics]", "command: best_effort"),
+        ('topic = "/base/odom"', 'fields = ["yaw(a)", "y"]', "'yaw(a)' is no plain field"),
+        ('topic = "/base/odom"', "fields = ['a[k=\"b\"].x', 'y']", "is no plain field"),
         ("[facts]", "[facts]\nnotes = 3", "'notes' is written by the run itself; choose another"),
         ("[facts]", "[facts]\nday = 2026-11-29", "'day' would not read back the same"),
         ("published = 2", "session = 3", "3: there is no file at this path"),

@@ -17,7 +17,7 @@ from trustlab.teleoperation.filters import (
     printed_filter,
     sinusoid_energy,
 )
-from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.ports import Scattering
 
 # --- filters --------------------------------------------------------------------------------------
 

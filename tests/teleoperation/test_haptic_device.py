@@ -9,7 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.signal import freqresp
 
-from trustlab.teleoperation.ports.device import HapticDevice, PassivityError
+from trustlab.teleoperation import ports
+from trustlab.teleoperation.ports import HapticDevice, PassivityError
 
 PRELIMINARY = {"damping": 0.55, "stiffness": 100.0, "weight": 60.0}
 MAIN = {"damping": 5.5, "stiffness": 20.0, "weight": 10.0}
@@ -22,6 +23,7 @@ def test_steps_are_those_of_the_equations_and_balance_to_rounding(seed):
     m, w, k, scaling = rng.uniform([0.05, 0.5, 0.0, 0.3], [2.0, 20.0, 50.0, 3.0])
     b = rng.uniform(1.0, 2.0) * m * w
     device = HapticDevice(m, b, k, w, scaling)
+    axis = ports.held_device(device, 0.01)
     a, whole = 0.005 * np.array([[0.0, 1.0], [-k / m, -b / m]]), np.eye(2)
     x, v = rng.normal(size=(2, 3))
     for _ in range(200):
@@ -37,7 +39,10 @@ def test_steps_are_those_of_the_equations_and_balance_to_rounding(seed):
         assert device.storage(x, v) == pytest.approx(stored / scaling, rel=1e-12)
         dissipated = (b - m * w) * v @ v + w * k * x @ x
         assert device.dissipation(x, v) == pytest.approx(dissipated / scaling)
-        lost = 0.01 * device.dissipation(*np.mean([old, (x, v)], axis=0))
+        middle = np.mean([old, (x, v)], axis=0)
+        solved = ports.free_output(axis, *old, f_h - scaling * f_m)
+        assert_allclose(solved, device.output(*middle), rtol=1e-9, atol=1e-12)
+        lost = 0.01 * device.dissipation(*middle)
         balance = device.storage(x, v) - energy + lost - supply
         assert abs(balance) <= 1e-12 * (2.0 * energy + lost + abs(supply))
 

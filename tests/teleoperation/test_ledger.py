@@ -9,28 +9,18 @@ import numpy as np
 import pytest
 from scipy.interpolate import interp1d
 
-from trustlab.teleoperation.channel import channel_run
+from trustlab.teleoperation.channel import WINDOW, EnergyLedger, channel_run, read_with_gain
 from trustlab.teleoperation.delays import Delay
-from trustlab.teleoperation.ports.waves import (
-    HOLD,
-    INTERPOLATED,
-    LEDGER,
-    WINDOW,
-    EnergyLedger,
-    Scattering,
-    accounts,
-    dot,
-    read_wave,
-)
+from trustlab.teleoperation.ports import Scattering, accounts, dot, read_wave
 
 T, N = 0.01, 4000
 
 
-def read(sent, delays, arrives, gain=1.0, read_out=LEDGER):
-    """What is read of a wave in every sample."""
-    account, rows = accounts()[0], np.zeros(sent.shape)
+def read(sent, delays):
+    """What is read of a wave in every sample, where all of it arrives."""
+    account, rows, arrives = accounts()[0], np.zeros(sent.shape), np.ones(len(sent), bool)
     for k, delay in enumerate(delays):
-        read_wave(sent, arrives, k, float(delay), gain, read_out, T, account, rows[k])
+        read_wave(sent, arrives, k, float(delay), T, account, rows[k])
     return rows
 
 
@@ -71,7 +61,7 @@ def test_a_steady_wave_arrives_in_full_under_jitter(most):
 def test_a_growing_delay_is_read_evenly(rate):
     """Oracle: √(1 − dT/dt) for a constant wave and a delay that grows at a constant rate."""
     ones = np.ones((2000, 1))
-    sizes = read(ones, 1.0 + rate * np.arange(2000), ones[:, 0] > 0.0)[100:]
+    sizes = read(ones, 1.0 + rate * np.arange(2000))[100:]
     assert np.mean(sizes**2) == pytest.approx(1.0 - rate, abs=0.01)
     assert np.quantile(np.abs(sizes - np.sqrt(1.0 - rate)), 0.9) < 0.02
 
@@ -80,7 +70,7 @@ def test_a_lost_wave_is_not_read_with_the_energy_of_those_before():
     sent = np.array([[2.0], [1.0], [5.0], [5.0]])
     arrives = np.array([True, True, False, True])
     account, out = accounts()[0], np.zeros(1)
-    read_wave(sent, arrives, 3, 1.0, 1.0, LEDGER, T, account, out)
+    read_wave(sent, arrives, 3, 1.0, T, account, out)
     assert out[0] == 1.0  # the newest that arrived, although 5 T would pay for more
     assert account["balance"] == pytest.approx(4.0 * T)
     assert account["unbooked"] == 3
@@ -100,13 +90,14 @@ def test_a_ledger_needs_the_same_memory_after_a_million_packets():
 
 @pytest.mark.parametrize("gain", [1.0, 0.7])
 @pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize(("read_out", "kind"), [(INTERPOLATED, "linear"), (HOLD, "previous")])
-def test_other_read_outs_are_those_of_scipy(read_out, kind, seed, gain):
-    """Oracle: SciPy's interpolators, over waves that are zero before the first and where lost."""
+@pytest.mark.parametrize(("interpolated", "kind"), [(True, "linear"), (False, "previous")])
+def test_other_read_outs_are_those_of_scipy(interpolated, kind, seed, gain):
+    """Oracle: SciPy's interpolators, over waves that are zero before the first."""
     rng = np.random.default_rng([83, seed])
-    sent, arrives = rng.normal(size=(200, 3)), rng.random(200) > 0.2
-    waves = np.vstack([np.zeros((20, 3)), sent * arrives[:, None]])
-    delays = rng.choice([0.0, 1.0, 2.5, 7.0], 200) + rng.choice([0.0, 1.0], 200) * rng.random(200)
-    expected = interp1d(np.arange(-20, 200), waves, kind, axis=0)(np.arange(200) - delays)
-    rows = read(sent, delays, arrives, gain, read_out)
+    sent = rng.normal(size=(200, 3))
+    waves = np.vstack([np.zeros((20, 3)), sent])
+    delays = 1.0 + rng.choice([0.0, 1.5, 6.0], 200) + rng.choice([0.0, 1.0], 200) * rng.random(200)
+    where = np.arange(200) - delays
+    expected = interp1d(np.arange(-20, 200), waves, kind, axis=0)(where)
+    rows = [read_with_gain(sent, place, gain, interpolated) for place in where]
     np.testing.assert_allclose(rows, gain * expected, atol=1e-14)

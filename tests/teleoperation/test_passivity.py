@@ -15,7 +15,7 @@ from scipy.optimize import minimize_scalar
 import trustlab as tl
 from tests.cases import refused
 from trustlab.teleoperation import PassivityController, passivity
-from trustlab.teleoperation.ports.device import activation
+from trustlab.teleoperation.ports import activation
 from trustlab.teleoperation.team.kernel import push_share
 
 # --- controllers ----------------------------------------------------------------------------------

@@ -173,8 +173,10 @@ def test_a_vehicle_as_matrices_is_that_as_a_function_and_guides_by_where_it_is(g
 
 
 @each_guidance
-@pytest.mark.parametrize("arm_mass", [0.0, 2.0])
-def test_the_device_and_the_arm_obey_newton_and_the_channel_is_not_blamed(arm_mass, guidance):
+@pytest.mark.parametrize(("arm_mass", "scaling"), [(0.0, 1.0), (2.0, 1.5)])
+def test_the_device_and_the_arm_obey_newton_and_the_channel_is_not_blamed(
+    arm_mass, scaling, guidance
+):
     """
     Oracle: Newton's law at the middle of every sample, for the device under the hand's force f_h
     and for an arm that nobody moves under the added force; and power at the ports, summed here.
@@ -183,17 +185,18 @@ def test_the_device_and_the_arm_obey_newton_and_the_channel_is_not_blamed(arm_ma
     """
     arm = Teleoperator(mass=arm_mass, noise=0.0, proportional=0.0, derivative=0.0)
     push = np.random.default_rng(6).normal(size=(2000, 3))
+    study = replace(MAIN, force_scaling=scaling)
     run = simulate_teleoperation(
-        "TMIG", arm, MAIN, 6, 20.0, guidance=Guidance(guidance, "off"), signals={"push": push}
+        "TMIG", arm, study, 6, 20.0, guidance=Guidance(guidance, "off"), signals={"push": push}
     )
     x, v, f_h, f_m = (columns(run, name) for name in ("device", "device_velocity", "f_h", "f_m"))
     acceleration = np.diff(v, axis=0) / T
     v, x = 0.5 * (v[1:] + v[:-1]), 0.5 * (x[1:] + x[:-1])
-    device = -MAIN.damping * v - MAIN.stiffness * x + f_h[:-1] - f_m[:-1]
+    device = -MAIN.damping * v - MAIN.stiffness * x + f_h[:-1] - scaling * f_m[:-1]
     assert_allclose(MAIN.mass * acceleration, device, atol=1e-9)
     moved = push[:-1] - f_h[:-1] - arm.damping * v - arm.stiffness * x
     assert_allclose(arm_mass * acceleration, moved, atol=1e-9)
-    assert_device_balances(run, guarded=False)
+    assert_device_balances(run, False, scaling)
     between = T * np.cumsum(power(run, "r_m", "f_m") - power(run, "r_s", "f_s"))
     felt = run["energy_guidance"]
     assert_allclose(run["energy_channel"] + felt, between, atol=1e-9)

@@ -166,7 +166,7 @@ def test_performance_is_the_window_mean_of_3_27():
 
 def flown(data, matrices):
     """Position, velocity and acceleration of the vehicle, run again from the logged commands."""
-    phi, gamma = matrices
+    phi, gamma = matrices[:, :, :3], matrices[:, :, 3]
     share = 1.0 - data["alpha"].to_numpy()[:, None]
     state, rows = np.zeros((3, 3)), []
     state[:, 0] = columns(data, "robot")[0]

@@ -17,8 +17,7 @@ from trustlab.models.checks import (
     refuse_changed,
 )
 from trustlab.models.simulation import filled
-from trustlab.teleoperation.loop.kernel import LAWS
-from trustlab.teleoperation.loop.records import HAND
+from trustlab.teleoperation.loop.kernel import HAND, LAWS
 
 # Largest command [m/s] that operators of each study ask for, above the speed of its target.
 REACH = {"preliminary": 2.5, "main": 1.0}

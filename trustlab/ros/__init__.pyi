@@ -1,7 +1,5 @@
 from .core import (
-    AllocationCore as AllocationCore,
     CoreSettings as CoreSettings,
-    Decision as Decision,
     Watchdog as Watchdog,
 )
 from .node import Allocation as Allocation
@@ -18,9 +16,7 @@ from .run import (
 
 __all__ = [
     "Allocation",
-    "AllocationCore",
     "CoreSettings",
-    "Decision",
     "RobotRun",
     "RunSettings",
     "Topic",

@@ -15,19 +15,15 @@ import numpy as np
 
 from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.allocation.correction_run import OnlineCorrection
-from trustlab.allocation.limits import threshold_pair
 from trustlab.allocation.rules import PerformanceRule, ThresholdRule, prepared_rule
-from trustlab.live.condition import given_thresholds
 from trustlab.models.checks import (
     Checked,
     NotNegative,
     Positive,
     between,
-    finite_number,
     of_class,
     one_of,
     table_of,
-    whole_number,
 )
 from trustlab.models.tsc import TscModel, next_utilization
 from trustlab.sessions.errors import SessionError
@@ -64,12 +60,6 @@ INPUTS = {
     "autonomy": ("hand over", "stop"),
     "path_error": ("hold", "stop"),
 }
-FIELDS = {
-    "odometry": ("x", "y"),
-    "operator": ("v", "w"),
-    "autonomy": ("v", "w"),
-    "path_error": ("e",),
-}
 # Nothing on a ground robot measures more, in metres or in m/s; sums of squares stay finite.
 LARGEST = 1e6
 # How far ahead of the clock a stamp may be [s]: clocks of two computers, and rounding.
@@ -102,7 +92,7 @@ class Watchdog(Checked):
 @dataclass(frozen=True)
 class CoreSettings(Checked):
     """
-    Settings of `AllocationCore`.
+    Bounds, rates, watchdogs and the window of a run.
 
     Parameters
     ----------
@@ -243,92 +233,41 @@ class AllocationCore:
     The allocation rule on line: stamped messages in, a bounded velocity command out.
 
     It knows no middleware, reads no clock and writes no file: the caller passes the time, all
-    stamps by the same clock. P_r and P_h are the window means (2.4) and (2.7) of what was heard.
-    What is heard counts within what a robot can do: velocities within the bounds, and no distance
-    where odometry jumps.
+    stamps by the same clock. `RunSettings.core` makes it, from arguments that go together. P_r and
+    P_h are the window means (2.4) and (2.7) of what was heard. What is heard counts within what a
+    robot can do: velocities within the bounds, and no distance where odometry jumps.
 
     The robot comes to rest until every input was heard once. The operator's `stop` wins over
     everything, at once, until `release`; a rule that fails stops the robot, too. Refused or late
     messages, silent inputs and late steps are named in `notes`, the first twenty of a kind.
-
-    Parameters
-    ----------
-    model : TscModel
-        Of the person who drives, for example `fit_tsc(session).model`.
-    condition : {"C1", "C2", "C3", "C4", "C5"}, optional
-        Who allocates: the button alone (C1), suggestions by (2.8) or Algorithm 2 that the button
-        may follow (C2, C4), or these rules at once (C3, C5).
-    thresholds : tuple of float, optional
-        TSC_l and TSC_u; needed in C2 and C3, refused elsewhere.
-    rule : object, optional
-        A rule of your own, which allocates at once; takes the place of `condition`. Where its
-        `step` returns a share between 0 and 1, the operator's, the robot gets
-        α u_h + (1 − α) u_a.
-    correction : ThresholdCorrector, optional
-        Moves the thresholds of C2 or C3 towards its target, step by step (2.40)-(2.44).
-    settings : CoreSettings, optional
-        Bounds, rates, watchdogs, window.
-
-    Raises
-    ------
-    ValueError
-        If not exactly one of condition and rule is present, or thresholds or a correction are
-        missing or unused.
-
-    Examples
-    --------
-    >>> import trustlab as tl
-    >>> model = tl.published_models()["1"]
-    >>> core = tl.ros.AllocationCore(model, "C3", thresholds=(0.02, 0.45))
-    >>> core.hear("odometry", 0.0, (0.0, 0.0), now=0.0)
-    True
-    >>> core.hear("operator", 0.0, (float("nan"), 0.0), now=0.0)
-    False
-    >>> core.step(0.0).driver
-    'nobody'
-    >>> core.notes[0][1]
-    'operator: not a finite value of usual size: (nan, 0.0)'
     """
 
     def __init__(
         self,
         model: TscModel,
-        condition: str | None = None,
-        thresholds: tuple[float, float] | None = None,
-        rule: Any = None,
-        correction: ThresholdCorrector | None = None,
-        settings: CoreSettings | None = None,
+        condition: str | None,
+        thresholds: tuple[float, float] | None,
+        rule: Any,
+        correction: ThresholdCorrector | None,
+        settings: CoreSettings,
     ):
-        self.model = of_class("model", model, TscModel)
-        settings = CoreSettings() if settings is None else settings
-        self.settings = of_class("settings", settings, CoreSettings)
-        if (condition is None) == (rule is None):
-            raise ValueError("AllocationCore needs one of these: a condition, C1 to C5, or a rule")
-        if thresholds is not None:
-            thresholds = threshold_pair("threshold", thresholds, most=LARGEST)
-        self.condition = condition
+        self.model, self.condition, self.settings = model, condition, settings
         self.rule: Any = None
         self.mode: float = 1
         self.forced = True
         if rule is not None:
             self.rule, self.mode = prepared_rule(rule, None)
-            if thresholds is not None:
-                raise ValueError("thresholds have no effect beside a rule; leave them out")
         else:
-            _, self.forced = CONDITIONS[one_of("condition", condition, CONDITIONS)]
-            if given_thresholds(condition, thresholds) is not None:
-                lower, upper = thresholds
-                self.rule = ThresholdRule(lower, upper)
+            _, self.forced = CONDITIONS[condition]
+            if thresholds is not None:
+                self.rule = ThresholdRule(*thresholds)
             elif condition != "C1":
                 self.rule = PerformanceRule(model.robot.p_min, model.robot.p_max)
         self.correction = None
         if correction is not None:
-            of_class("correction", correction, ThresholdCorrector)
-            if thresholds is None:
-                raise ValueError("a correction starts from thresholds; use it with C2 or C3")
             self.correction = OnlineCorrection(correction, thresholds, outside="nearest")
         # The model's a_r is of its own sample time, at which thresholds are corrected, too.
-        steps = self.settings.model_sample_time / self.settings.period
+        steps = settings.model_sample_time / settings.period
         self.correct_every = max(1, round(steps))
         self.a_r = model.human.a ** (1.0 / steps)
         self.r = 0.0
@@ -340,21 +279,14 @@ class AllocationCore:
         self.command = (0.0, 0.0)
         self.rows: list[tuple] = []
         self.placed: tuple | None = None
-        samples = round(self.settings.window / self.settings.period)
+        samples = round(settings.window / settings.period)
         self.speeds = deque(maxlen=samples)
         self.skills = deque(maxlen=samples)
-        watchdogs = self.settings.watchdogs.items()
+        watchdogs = settings.watchdogs.items()
         self.inputs = {name: Input(name, watchdog, self.note) for name, watchdog in watchdogs}
 
     def note(self, text: str) -> None:
-        """
-        Add a note, with the time of the latest message or step.
-
-        Parameters
-        ----------
-        text : str
-            The note.
-        """
+        """Add a note, with the time of the latest message or step."""
         kind = re.sub(r"[\d.]+(e[+-]\d+)?", "#", text)
         self.kinds[kind] += 1
         if self.kinds[kind] <= MOST_NOTES:
@@ -362,37 +294,15 @@ class AllocationCore:
 
     def hear(self, name: str, stamp: float, values: tuple[float, ...], now: float) -> bool:
         """
-        Take a message over, or note its fault and keep the message before.
+        Take a message over, or note its fault, keep the message before and return False.
 
-        Parameters
-        ----------
-        name : {"odometry", "operator", "autonomy", "path_error"}
-            The input.
-        stamp : float
-            When it was measured [s]; watchdogs count from here.
-        values : tuple of float
-            x, y [m]; v, w [m/s, rad/s], twice, which count within the bounds; or the path error,
-            (e,) [m].
-        now : float
-            The clock [s].
-
-        Returns
-        -------
-        bool
-            Whether the message was taken over.
-
-        Raises
-        ------
-        ValueError
-            If the input is unknown, the number of values is wrong, or the clock not finite.
+        stamp: when it was measured [s]; watchdogs count from here. values: x, y [m]; v, w [m/s,
+        rad/s], twice, which count within the bounds; or the path error, (e,) [m]. now: the clock
+        [s].
         """
-        one_of("name", name, FIELDS)
-        values = tuple(map(float, values))
-        if len(values) != len(FIELDS[name]):
-            raise ValueError(f"{name} needs {', '.join(FIELDS[name])}; got {len(values)} values")
-        self.now = max(self.now, finite_number("now", now))
+        self.now = max(self.now, now)
         entry = self.inputs[name]
-        if not entry.take(float(stamp), values, now):
+        if not entry.take(stamp, values, now):
             return False
         if name in ("operator", "autonomy"):
             entry.values = tuple(self._within(values).tolist())
@@ -401,32 +311,15 @@ class AllocationCore:
                 self.note(f"{name}: {v:.3g} m/s, {w:.3g} rad/s count within the bounds alone")
         return True
 
-    def press(self, mode: int) -> bool:
+    def press(self, mode: int) -> None:
         """
-        Choose the mode by the operator's button.
-
-        Parameters
-        ----------
-        mode : int
-            1 manual, 0 autonomous.
-
-        Returns
-        -------
-        bool
-            Whether it had an effect; where a rule allocates at once it has none, and a note says
-            so.
-
-        Raises
-        ------
-        ValueError
-            If the mode is not 0 or 1.
+        Choose the mode by the operator's button, 1 manual, 0 autonomous; where a rule allocates at
+        once this has no effect, and a note says so.
         """
-        whole_number("mode", mode, least=0, most=1)
         if self.forced:
             self.note("button: no effect where a rule allocates")
-            return False
-        self.mode = mode
-        return True
+        else:
+            self.mode = mode
 
     def stop(self) -> None:
         """Stop the robot by the operator's wish, from the next step on until `release`."""
@@ -439,14 +332,7 @@ class AllocationCore:
         return all(entry.values for entry in self.inputs.values())
 
     def rest(self, reason: str) -> None:
-        """
-        Take the robot to be at rest: commands rise from there.
-
-        Parameters
-        ----------
-        reason : str
-            Why it was stopped, which is noted.
-        """
+        """Take the robot to be at rest, for a reason that is noted: commands rise from there."""
         self.command = (0.0, 0.0)
         self.note(reason)
 
@@ -456,25 +342,7 @@ class AllocationCore:
         self.note("operator's stop released")
 
     def step(self, now: float) -> Decision:
-        """
-        Decide at a tick of the loop.
-
-        Parameters
-        ----------
-        now : float
-            The clock [s], rising from step to step.
-
-        Returns
-        -------
-        Decision
-            What to send, and why.
-
-        Raises
-        ------
-        ValueError
-            If the clock is not finite.
-        """
-        now = finite_number("now", now)
+        """Decide at a tick of the loop, at a time [s] that rises from step to step."""
         if now < self.now:
             self.note(f"clock went back by {self.now - now:.3g} s")
         self.now = max(self.now, now)
@@ -576,22 +444,8 @@ class AllocationCore:
 
     def session(self, **facts: Any) -> Session:
         """
-        Return the log so far as a session, from the sample on at which every input was heard.
-
-        Parameters
-        ----------
-        **facts : object
-            Entries of the metadata, for example participant=3, synthetic=True.
-
-        Returns
-        -------
-        Session
-            With `notes` in its metadata.
-
-        Raises
-        ------
-        SessionError
-            If fewer than two samples were logged.
+        Return the log so far as a session, from the sample on at which every input was heard, with
+        `notes` and these facts in its metadata; a SessionError where it has fewer than two samples.
         """
         import pandas as pd
 

@@ -12,8 +12,7 @@ from typing import Any
 
 from trustlab.live.log import Log
 from trustlab.ros.core import AHEAD, Decision
-from trustlab.ros.feed import END, Feed
-from trustlab.ros.recorded import LOG, RobotRun, finish_run, log_entry, typestore
+from trustlab.ros.recorded import END, LOG, Feed, RobotRun, finish_run, log_entry, typestore
 from trustlab.ros.run import CLOCK, NOTE, RUN, STATES, RunSettings
 
 # Samples missing are made up for, step by step, up to this gap [s]; a note names a longer one.

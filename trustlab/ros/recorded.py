@@ -1,10 +1,14 @@
-"""What a run left: its bag, its decisions replayed, its measures beside those of a study."""
+"""
+From messages to decisions, the same on a robot and in a replay; and what a run left: its bag, its
+decisions, its measures beside those of a study.
+"""
 
 import json
+import math
 from base64 import b64decode, b64encode
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +17,8 @@ import pandas as pd
 
 from trustlab.live.log import Log, LogError, linked
 from trustlab.models.extras import extra
-from trustlab.ros.feed import Feed
-from trustlab.ros.run import OWN_TYPES, RUN, STATES, RunSettings
+from trustlab.ros.core import AHEAD, AllocationCore
+from trustlab.ros.run import CLOCK, NOTE, OWN_TYPES, RUN, STATES, RunSettings
 from trustlab.sessions.bags import PREFIX
 from trustlab.sessions.errors import SessionError, damage_named, source_named
 from trustlab.sessions.reading import existing, read_session
@@ -23,6 +27,9 @@ from trustlab.sessions.writing import write_recording, write_session
 from trustlab.testbeds.condition_run import condition_measures
 
 LOG = ".jsonl"
+
+# What the node notes last: a run without it was cut off.
+END = "the run ends"
 
 Message = tuple[str, int, bytes]
 """Topic, time by the run's clock [ns], and data as CDR."""
@@ -148,6 +155,91 @@ def recorded_messages(path: Path) -> list[Message]:
     with AnyReader([path]) as reader:
         connections = [c for c in reader.connections if not c.topic.startswith(PREFIX)]
         return [(c.topic, now, data) for c, now, data in reader.messages(connections)]
+
+
+@dataclass
+class Feed:
+    """
+    Hands messages on topics to a core.
+
+    The run's own clock starts at `start` [ns] of the computer's and goes on with its processor, so
+    that it never steps; what the computer's clock is ahead of it stands on a topic of the run.
+    """
+
+    run: RunSettings
+    core: AllocationCore
+    start: int
+    ahead: int = 0
+    ended: bool = False
+    apart: bool = False
+    down: dict[str, bool] = field(default_factory=dict)
+    frames: dict[str, str] = field(default_factory=dict)
+
+    def seconds(self, now: int) -> float:
+        """Return a time of the run's clock since the start [s]."""
+        return (now - self.start) / 1e9
+
+    def hear(self, topic: str, message: Any, now: int) -> list[str]:
+        """Hand a message on and return the names of the inputs that took it over."""
+        if topic == CLOCK:
+            step = (message.data - self.ahead) / 1e9
+            if abs(step) > AHEAD:
+                self.core.rest(f"the computer's clock steps by {step:.3g} s")
+            self.ahead = message.data
+        elif topic == NOTE:
+            self.ended = message.data == END
+            if not self.ended:
+                self.core.note(message.data)
+        return [
+            name
+            for name, source in self.run.topics.items()
+            if source.topic == topic and self._taken(name, message, now)
+        ]
+
+    def _taken(self, name: str, message: Any, now: int) -> bool:
+        source = self.run.topics[name]
+        try:
+            numbers = source.numbers(message)
+        except ValueError as error:
+            self.core.note(f"{name}: {error}")
+            return False
+        if name not in self.core.inputs:
+            self._press(name, numbers[0] >= 0.5)
+            return False
+        frame = getattr(getattr(message, "header", None), "frame_id", "")
+        if frame != self.frames.setdefault(name, frame):
+            self.core.note(f"{name}: in frame {frame!r}, before in {self.frames[name]!r}")
+            self.frames[name] = frame
+        if name == "path_error" and len(numbers) == 2:  # of a reference: its distance
+            place = self.core.inputs["odometry"].values
+            if place is None:
+                return False
+            other = self.frames["odometry"]
+            if frame and other and frame != other and not self.apart:
+                self.apart = True
+                self.core.note(f"{name}: in frame {frame!r}, odometry in {other!r}")
+            numbers = (math.dist(place, numbers),)
+        return self.core.hear(name, self.stamp(name, message, now), numbers, self.seconds(now))
+
+    def stamp(self, name: str, message: Any, now: int) -> float:
+        """Return when an input's message was measured, by its header or its arrival [s]."""
+        header = getattr(message, "header", None)
+        if header is not None and self.run.topics[name].stamp == "header":
+            now = header.stamp.sec * 10**9 + header.stamp.nanosec - self.ahead
+        return self.seconds(now)
+
+    def _press(self, name: str, down: bool) -> None:
+        """Act when a button is pressed or, of the one that chooses the mode, moved."""
+        before = self.down.get(name)
+        self.down[name] = down
+        if down == before:
+            return
+        if name == "button":
+            self.core.press(int(down))
+        elif down and name == "stop":
+            self.core.stop()
+        elif down and not self.down.get("stop"):  # a stop that is held down is not released
+            self.core.release()
 
 
 class Replay:

@@ -11,10 +11,11 @@ from typing import Any
 from trustlab.allocation.correction import ThresholdCorrector
 from trustlab.allocation.limits import threshold_pair
 from trustlab.allocation.rules import prepared_rule
-from trustlab.models.checks import Checked, finite_array, of_class, one_of, shown, table_of
+from trustlab.live.condition import given_thresholds
+from trustlab.models.checks import Checked, finite_array, list_of, of_class, one_of, shown, table_of
 from trustlab.models.published import published_models
 from trustlab.models.tsc import HumanModel, RobotModel, TscModel
-from trustlab.ros.core import FIELDS, AllocationCore, CoreSettings, Watchdog
+from trustlab.ros.core import INPUTS, AllocationCore, CoreSettings, Watchdog
 from trustlab.sessions.patterns import FieldPath
 from trustlab.sessions.session import Metadata, metadata_to_json
 from trustlab.testbeds.deciding import CONDITIONS
@@ -32,7 +33,7 @@ class Topic(Checked):
     type : str
         The type of its messages, for example "nav_msgs/msg/Odometry".
     fields : tuple of str
-        Where the numbers stand in a message, as in a recipe: "pose.pose.position.x", "axes[1]".
+        Where the numbers stand in a message: "pose.pose.position.x", "axes[1]".
     scale : tuple of float
         What the numbers are multiplied with, one for each field; 1 where it is left out.
     stamp : {"header", "receive"}
@@ -56,20 +57,22 @@ class Topic(Checked):
     def __post_init__(self):
         super().__post_init__()
         of_class("topic", self.topic, str)
-        if not isinstance(self.fields, list | tuple):
-            raise ValueError(f"fields must be a list, got {shown(self.fields)}")
         one_of("stamp", self.stamp, ("header", "receive"))
+        fields = tuple(list_of("fields", self.fields))
         if self.scale:
-            finite_array("scale", self.scale, length=len(self.fields))
-        self.__dict__.update(fields=tuple(self.fields), scale=tuple(self.scale))
+            finite_array("scale", self.scale, length=len(fields))
+        self.__dict__.update(fields=fields, scale=tuple(self.scale))
         _ = self.places  # refuses a path that cannot be read
 
     @cached_property
     def places(self) -> list[tuple[list, float]]:
         """The steps that lead to each field, and its scale."""
         scales = self.scale or (1.0,) * len(self.fields)
-        paths = [FieldPath(text).steps for text in self.fields]
-        return list(zip(paths, scales, strict=True))
+        paths = [FieldPath(text) for text in self.fields]
+        for path in paths:
+            if path.yaw or path.selectors:
+                raise ValueError(f"{path.text!r} is no plain field, like 'linear.x' or 'axes[1]'")
+        return list(zip([path.steps for path in paths], scales, strict=True))
 
     def numbers(self, message: Any) -> tuple[float, ...]:
         """
@@ -159,14 +162,20 @@ class RunSettings(Checked):
     Parameters
     ----------
     model : TscModel
-        Of the person who drives.
-    condition, thresholds : object
-        As for `AllocationCore`.
-    rule : object or str
-        As for `AllocationCore`; or "module:name" of what makes it. A run whose rule has such a name
+        Of the person who drives, for example `fit_tsc(session).model`.
+    condition : {"C1", "C2", "C3", "C4", "C5"}, optional
+        Who allocates: the button alone (C1), suggestions by (2.8) or Algorithm 2 that the button
+        may follow (C2, C4), or these rules at once (C3, C5).
+    thresholds : tuple of float, optional
+        TSC_l and TSC_u; needed in C2 and C3, refused elsewhere.
+    rule : object or str, optional
+        A rule of your own, which allocates at once; takes the place of `condition`. Where its
+        `step` returns a share between 0 and 1, the operator's, the robot gets
+        α u_h + (1 − α) u_a. Or "module:name" of what makes it: a run whose rule has such a name
         can be replayed from its bag.
     correction : mapping, optional
-        Arguments of `ThresholdCorrector`: target, horizon, c_b.
+        Arguments of `ThresholdCorrector`, which moves the thresholds of C2 or C3 towards its
+        target, step by step (2.40)-(2.44): target, horizon, c_b.
     settings : CoreSettings
         Bounds, rates, watchdogs, window.
     topics : mapping of str to Topic
@@ -177,7 +186,8 @@ class RunSettings(Checked):
     Raises
     ------
     ValueError
-        If a topic is unknown or taken, or a fact cannot be written.
+        If not exactly one of condition and rule is present, thresholds or a correction are missing
+        or unused, a topic is unknown or taken, or a fact cannot be written.
 
     Examples
     --------
@@ -198,20 +208,24 @@ class RunSettings(Checked):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.condition is not None:
+        if (self.condition is None) == (self.rule is None):
+            raise ValueError("a run needs one of these: a condition, C1 to C5, or a rule")
+        if self.rule is None:
             one_of("condition", self.condition, CONDITIONS)
-        if not isinstance(self.rule, str | None):
+        elif not isinstance(self.rule, str):
             prepared_rule(self.rule, None)
+        if given_thresholds(self.condition or "a rule of your own", self.thresholds) is not None:
+            self.__dict__["thresholds"] = threshold_pair("threshold", self.thresholds)
         if self.correction is not None:
             table_of("correction", self.correction)
+            if self.thresholds is None:
+                raise ValueError("a correction starts from thresholds; use it with C2 or C3")
         for name, topic in table_of("topics", self.topics).items():
             of_class(f"topics[{name!r}]", topic, Topic)
         # Refuses what a file cannot hold.
         metadata_to_json(_made(Metadata().changed, "facts", self.facts))
         for name in WRITTEN & set(self.facts):
             raise ValueError(f"facts: {name!r} is written by the run itself; choose another name")
-        if self.thresholds is not None:
-            self.__dict__["thresholds"] = threshold_pair("threshold", self.thresholds)
         self.__dict__["topics"] = {**TOPICS, **self.topics}
         taken = dict.fromkeys(OWN_TYPES)
         for name, topic in self.topics.items():
@@ -264,8 +278,7 @@ class RunSettings(Checked):
 
     def tables(self) -> dict:
         """Return the run as plain tables; of a rule without a name nothing is left."""
-        name = self.rule if isinstance(self.rule, str) else None
-        return asdict(replace(self, rule=name))
+        return asdict(self) | {"rule": self.rule if isinstance(self.rule, str) else None}
 
     def types(self) -> dict[str, str]:
         """Return the types of the messages of every topic recorded."""
@@ -280,8 +293,8 @@ class RunSettings(Checked):
             rule = _made(_imported(rule), "rule", {})
         allocation = self.model, self.condition, self.thresholds, rule, correction
         trial = AllocationCore(*allocation, replace(self.settings, wait=0.0))
-        for name, fields in FIELDS.items():
-            trial.hear(name, 0.0, (0.0,) * len(fields), 0.0)
+        for name in INPUTS:
+            trial.hear(name, 0.0, (0.0,) * len(TOPICS[name].fields), 0.0)
         trial.step(0.0)
         if trial.stopped:
             raise ValueError(trial.notes[-1][1])

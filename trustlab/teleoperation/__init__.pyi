@@ -1,5 +1,6 @@
 from .channel import (
     ChannelRun as ChannelRun,
+    EnergyLedger as EnergyLedger,
     channel_run as channel_run,
 )
 from .delays import (
@@ -25,12 +26,12 @@ from .loop.settings import (
     LoopSettings as LoopSettings,
     Scheme as Scheme,
 )
-from .ports.device import (
+from .ports import (
     HapticDevice as HapticDevice,
     PassivityController as PassivityController,
     PassivityError as PassivityError,
+    Scattering as Scattering,
 )
-from .ports.waves import EnergyLedger as EnergyLedger, Scattering as Scattering
 from .stability import Passivity as Passivity, passivity as passivity
 from .team.decisions import (
     GivenSequence as GivenSequence,

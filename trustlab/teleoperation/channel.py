@@ -1,6 +1,6 @@
 """
 The communication channel by itself, any signals at its ports: with scales (Theorem 3), and switched
-between leaders (4.7).
+between leaders (4.7); and a ledger of packets.
 """
 
 from collections.abc import Sequence
@@ -10,23 +10,23 @@ import numpy as np
 
 from trustlab.models.checks import (
     array_between,
+    finite_array,
     finite_numbers,
     of_class,
     one_of,
     positive,
     shown,
+    whole_number,
 )
 from trustlab.models.compiled import njit
 from trustlab.models.records import signals
+from trustlab.teleoperation import ports
 from trustlab.teleoperation.delays import delays_in_samples
-from trustlab.teleoperation.ports import waves
-from trustlab.teleoperation.ports.waves import (
-    END,
-    READ_OUTS,
-    Scattering,
-    accounts,
-    read_waves,
-)
+from trustlab.teleoperation.ports import END, Scattering, accounts, amplitude, read_waves
+
+# How delayed waves are read.
+READ_OUTS = ("ledger", "interpolated", "hold")
+LEDGER, INTERPOLATED, HOLD = range(3)
 
 # By how much, as a share, scales may lie beyond their bounds, for rounding.
 SLACK = 1e-12
@@ -82,20 +82,41 @@ class ChannelRun(NamedTuple):
 
 
 @njit
-def _send(r_m, f_m, r_s, f_s, u_l, v_l, u_r, v_r, near, far, alpha, beta, delays, gain, *reading):
+def read_with_gain(sent, where, gain, interpolated):
+    """
+    Return the wave of a sample, read between samples or the last one, with the gain f_i of (3.16);
+    zero before the first.
+    """
+    first = int(np.floor(where))
+    part = where - first if interpolated else 0.0
+    wave = np.zeros(sent.shape[1])
+    if first >= 0:
+        wave += (1.0 - part) * sent[first]
+    if first >= -1:
+        wave += part * sent[first + 1]
+    return gain * wave
+
+
+@njit
+def _send(columns, near, far, alpha, beta, delays, read_out, gain, sample_time, accounts):
     """
     Fill the waves, f_m and r_s, sample by sample.
 
-    near, far, shape (N,): the ends of the channel at the operator and at the robot, records of END.
-    reading: read-out, sample time and accounts, as `read_waves` takes them.
+    columns: as in `ChannelRun`. near, far, shape (N,): the ends of the channel at the operator and
+    at the robot, records of END.
     """
+    r_m, f_m, r_s, f_s, u_l, v_l, u_r, v_r = columns
     arrives = np.ones(delays.shape, np.bool_)
     for k in range(len(r_m)):
-        read_waves(u_l, u_r, arrives, k, delays, gain, *reading, v_l[k], v_r[k])
-        u_l[k] = waves.operator_wave(near[k], r_m[k], v_l[k])
-        f_m[k] = beta[k] * waves.operator_force(near[k], r_m[k], v_l[k])
-        u_r[k] = waves.robot_wave(far[k], f_s[k], v_r[k])
-        r_s[k] = alpha[k] * waves.robot_velocity(far[k], f_s[k], v_r[k])
+        if read_out == LEDGER:
+            read_waves(u_l, u_r, arrives, k, delays, sample_time, accounts, v_l[k], v_r[k])
+        else:
+            v_r[k] = read_with_gain(u_l, k - delays[0, k], gain, read_out == INTERPOLATED)
+            v_l[k] = read_with_gain(u_r, k - delays[1, k], gain, read_out == INTERPOLATED)
+        u_l[k] = ports.operator_wave(near[k], r_m[k], v_l[k])
+        f_m[k] = beta[k] * ports.operator_force(near[k], r_m[k], v_l[k])
+        u_r[k] = ports.robot_wave(far[k], f_s[k], v_r[k])
+        r_s[k] = alpha[k] * ports.robot_velocity(far[k], f_s[k], v_r[k])
 
 
 def channel_run(
@@ -187,22 +208,29 @@ def channel_run(
         array_between("alpha", alphas, *alpha_ends, "alpha_min, alpha_max")
         array_between("beta", betas, *beta_ends, "beta_min, beta_max")
     rate = max(end.max_delay_rate for end in ends)
-    delays = {"delay_1": delay_1, "delay_2": delay_2}
+    pair = {"delay_1": delay_1, "delay_2": delay_2}
+    delays = delays_in_samples(pair, rate, count, period)
+    growth = np.diff(delays).max()
+    if read_out != "ledger" and growth > rate + 1e-6:
+        raise ValueError(
+            f"a delay grows at up to {growth:g} s/s, but f_i is set for max_delay_rate = {rate:g}; "
+            "raise max_delay_rate of the scattering, or use read_out='ledger'"
+        )
     f_m, r_s, u_l, v_l, u_r, v_r = np.zeros((6, *r_m.shape))
-    ports = (r_m, f_m, r_s, f_s, u_l, v_l, u_r, v_r)
+    columns = (r_m, f_m, r_s, f_s, u_l, v_l, u_r, v_r)
     _send(
-        *ports,
+        columns,
         np.array([end.at_operator for end in ends], END)[near],
         np.array([end.at_robot for end in ends], END)[far],
         alphas,
         betas,
-        delays_in_samples(delays, rate, count, period, read_out),
+        delays,
+        READ_OUTS.index(read_out),
         min(end.gain for end in ends),
-        READ_OUTS[read_out],
         period,
         accounts(),
     )
-    return ChannelRun(period * np.arange(count), *ports, period)
+    return ChannelRun(period * np.arange(count), *columns, period)
 
 
 def _scale(name: str, scale, bounds: np.ndarray) -> np.ndarray:
@@ -213,3 +241,99 @@ def _scale(name: str, scale, bounds: np.ndarray) -> np.ndarray:
             f"{name} must be a number or have shape {bounds.shape}, got {values.shape}"
         )
     return np.full(bounds.shape, values)
+
+
+# --- packets ------------------------------------------------------------------------------------
+
+# How many of the newest packets an `EnergyLedger` remembers: 65 s at 1 kHz.
+WINDOW = 65_536
+
+
+class EnergyLedger:
+    """
+    Read packets of waves so that never more energy leaves than came in, whatever their jitter, loss
+    and order.
+
+    Every packet is booked once, with the energy it carries, when it arrives. A read returns the
+    newest wave, scaled down where the balance does not hold its energy. A packet that arrives
+    65,536 numbers or more after a newer one is refused: it could not be told from a duplicate.
+
+    Parameters
+    ----------
+    sample_time : float
+        T [s]: a packet carries T‖u‖² [J].
+
+    Raises
+    ------
+    ValueError
+        If the sample time is not positive.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> ledger = tl.EnergyLedger(sample_time=0.01)
+    >>> ledger.receive(0, [2.0])
+    True
+    >>> ledger.read().tolist(), ledger.read().tolist()
+    ([2.0], [0.0])
+    """
+
+    def __init__(self, sample_time: float):
+        self.sample_time = positive("sample_time", sample_time)
+        self.received = self.given = 0.0
+        # A ring by number modulo its length: a duplicate is recognised in constant memory, however
+        # long the run.
+        self._seen = [-1] * WINDOW
+        self._newest = -1
+        self._wave = np.zeros(0)
+
+    @property
+    def balance(self) -> float:
+        """Energy that came in and has not gone out [J]; never negative."""
+        return max(self.received - self.given, 0.0)
+
+    def _energy(self, wave: np.ndarray) -> float:
+        """Return the energy that a wave carries in a sample [J]."""
+        return self.sample_time * float(wave @ wave)
+
+    def receive(self, number: int, wave: np.ndarray) -> bool:
+        """
+        Book a packet; a packet that came twice is booked once.
+
+        Parameters
+        ----------
+        number : int
+            The packet's number at its sender, 0 or more.
+        wave : array_like, shape (n,)
+            The wave it carries [√W].
+
+        Returns
+        -------
+        bool
+            Whether it was booked.
+
+        Raises
+        ------
+        ValueError
+            If the number is not a whole number, or the wave is not finite or has another length.
+        """
+        number = whole_number("number", number, least=0)
+        values = finite_array(f"wave of packet {number}", wave, length=self._wave.size or None)
+        if number <= self._newest - WINDOW or self._seen[number % WINDOW] == number:
+            return False
+        self._seen[number % WINDOW] = number
+        self.received += self._energy(values)
+        if number > self._newest:
+            self._newest, self._wave = number, values.copy()
+        return True
+
+    def read(self) -> np.ndarray:
+        """
+        Return the wave to use in this sample, shape (n,); an empty array before the first packet.
+        """
+        # Packets carry no time, so that nothing is known of the delay's rate: they are read at full
+        # pace.
+        share = amplitude.py_func(self._energy(self._wave), self.balance, 1.0)
+        out = self._wave * share
+        self.given += self._energy(out)
+        return out

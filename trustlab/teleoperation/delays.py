@@ -221,11 +221,7 @@ def both_ways(delay: Any) -> dict[str, Any]:
 
 
 def delays_in_samples(
-    pair: Mapping[str, Any],
-    max_rate: float,
-    count: int,
-    sample_time: float,
-    read_out: str = "ledger",
+    pair: Mapping[str, Any], max_rate: float, count: int, sample_time: float
 ) -> np.ndarray:
     """
     Return the delays both ways in samples, shape (2, count), from arguments by name.
@@ -233,14 +229,11 @@ def delays_in_samples(
     Delays within 1e-6 of a whole number of samples are made whole, so that rounding does not mix
     two samples.
     """
-    delays = np.empty((2, count))
-    for row, (name, value) in zip(delays, pair.items(), strict=True):
-        delay = delay_from(name, value, max_rate)
-        if read_out != "ledger" and delay.max_rate > max_rate + SLACK:
-            raise ValueError(
-                f"{name} grows at up to {delay.max_rate:g} s/s, but f_i is set for max_delay_rate "
-                f"= {max_rate:g}; raise max_delay_rate of the scattering, or use read_out='ledger'"
-            )
-        row[:] = delay.samples(count, sample_time) / sample_time
+    delays = np.array(
+        [
+            delay_from(name, delay, max_rate).samples(count, sample_time) / sample_time
+            for name, delay in pair.items()
+        ]
+    )
     whole = np.round(delays)
     return np.where(np.abs(delays - whole) < 1e-6, whole, delays)

@@ -18,7 +18,7 @@ from trustlab.models.checks import (
     positive,
 )
 from trustlab.models.records import first_order, signals
-from trustlab.teleoperation.ports.device import PassivityError
+from trustlab.teleoperation.ports import PassivityError
 
 SLACK = 1e-12
 

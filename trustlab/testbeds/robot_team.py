@@ -26,8 +26,7 @@ from trustlab.models.simulation import Loop, Simulation, View, asked, filled
 from trustlab.models.trust import trust_step
 from trustlab.teleoperation.delays import both_ways, delays_in_samples
 from trustlab.teleoperation.filters import corrected_filter
-from trustlab.teleoperation.ports import device as haptic
-from trustlab.teleoperation.ports.waves import accounts
+from trustlab.teleoperation.ports import accounts, held_device
 from trustlab.teleoperation.team import kernel
 from trustlab.teleoperation.team.decisions import (
     SLACK,
@@ -316,12 +315,11 @@ class TeamLoop(Loop):
             settings,
             trial,
             operator,
-            device=haptic.held_device.py_func(settings, haptic.NO_ARM, T),
+            device=held_device(settings, T),
             filters=kernel.UNFILTERED if filters in ("none", "waves") else low_pass,
             low_pass=low_pass,
             filtering=filters == "waves",
             cutoff=CUTOFF,
-            gain=min(end.gain for end in ends),
             goal=self._goal,
             push=operator.stiffness(self._delay),
             budget=budget,

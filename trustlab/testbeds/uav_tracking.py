@@ -45,17 +45,21 @@ from trustlab.teleoperation.delays import (
     random_walk_delay,
 )
 from trustlab.teleoperation.loop.hooks import asking, is_state_space, state_space
-from trustlab.teleoperation.loop.kernel import BLOCKS, GUIDANCE, LAWS, NOWHERE, teleoperate
-from trustlab.teleoperation.loop.records import (
+from trustlab.teleoperation.loop.kernel import (
     AUTONOMY,
+    BLOCKS,
     COLUMNS,
     DECIDED,
+    GUIDANCE,
     INPUT,
+    LAWS,
+    NOWHERE,
     NUMBERS,
     SAMPLE,
     TRUST,
     LoopSetup,
     LoopState,
+    teleoperate,
 )
 from trustlab.teleoperation.loop.settings import (
     RULES,
@@ -71,9 +75,7 @@ from trustlab.teleoperation.loop.settings import (
     study_named,
     vehicle_matrices,
 )
-from trustlab.teleoperation.ports import device as haptic
-from trustlab.teleoperation.ports.device import METHODS
-from trustlab.teleoperation.ports.waves import accounts
+from trustlab.teleoperation.ports import METHODS, accounts, held_device
 from trustlab.trust.driving import TrustInLoop
 from trustlab.trust.interface import TrustDynamics
 
@@ -367,10 +369,10 @@ class TeleoperationLoop(Loop):
             hand["compensation"] *= 1.0 - person.allocation_cost
         late = max(round(task.camera_delay / T), 1)
         # what a function sets stays until it is asked again
-        flies: dict[str, Any] = {"phi": np.eye(3)}
+        flies: dict[str, Any] = {"flight": np.eye(3, 4)}
         if "vehicle" not in hooks:
             axes = tracking_vehicle() if task.vehicle is None else three_axes(task.vehicle)
-            flies["phi"], flies["gamma"] = vehicle_matrices(axes, T)
+            flies["flight"] = vehicle_matrices(axes, T)
         if shares == "optimal":
             if "vehicle" in hooks:
                 raise ValueError(
@@ -384,13 +386,11 @@ class TeleoperationLoop(Loop):
         ):
             rates = (1.0, 0.0) if "trust" in hooks else (model.decay(T), model.b / model.a)
             flies[name] = filled(TRUST, model, decay=rates[0], gain=rates[1])
-        arm = haptic.Arm(person.mass, person.stiffness, person.damping)
-        device = haptic.held_device.py_func(settings, arm, T)
+        device = held_device(settings, T, person)
         where, budget = GUIDANCE.index(guidance.where), guidance.budget
         numbers = filled(
             NUMBERS,
             settings,
-            gain=ends.gain,
             guidance=-settings.k_ffa if settings.printed_sign else settings.k_ffa,
             window=max(round(settings.window / T), 1),
             rule=RULES["manual" if callable(shares) else shares],
@@ -404,7 +404,7 @@ class TeleoperationLoop(Loop):
             hand=hand,
             auto=filled(AUTONOMY, task, picture=task.view, delay=late),
             device=device,
-            admittance=settings.force_scaling * device.lever / device.inertia,
+            admittance=settings.force_scaling * device["lever"] / device["inertia"],
             **flies,
         )
         return np.atleast_1d(numbers)

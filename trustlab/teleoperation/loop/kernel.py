@@ -8,14 +8,113 @@ performance and motion follow, and `arrive` leads to the pause of the next sampl
 state, now: the row of the log.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
+from trustlab.allocation.blending import DEGREE
 from trustlab.models.compiled import njit
-from trustlab.models.records import AXES, step
+from trustlab.models.records import AXES, columns_of, record, step
 from trustlab.models.trust import logistic_scale, trust_step
-from trustlab.teleoperation.ports import device as haptic, waves
-from trustlab.teleoperation.ports.device import activation, demanded
-from trustlab.teleoperation.ports.waves import LEDGER, dot, read_waves
+from trustlab.teleoperation import ports
+from trustlab.teleoperation.ports import END, activation, copy, demanded, dot, read_waves
+
+# A row of the log: the state before the sample and the signals of the sample.
+LOGGED = record(
+    vectors="reference robot velocity device device_velocity r_m f_h f_m r_s f_s u_h u_a u_i guide",
+    numbers="alpha beta p_r p_h trust_hr trust_rh path_error port_share energy_operator "
+    "energy_device energy_dissipated energy_channel energy_robot energy_port energy_target "
+    "energy_guidance",
+)
+COLUMNS = columns_of(LOGGED)
+
+# Beside it, what later samples look up.
+SAMPLE = np.dtype([*LOGGED.descr, *record(vectors="error", numbers="good_r good_h").descr])
+
+# Room that scheme OMI computes in: what lies ahead, the cost as a series in α.
+BLENDING = record(ahead=(float, (3, 5)), series=(float, DEGREE + 1))
+
+# The state: what the loop carries on, what has arrived, what the steps of a sample tell each other,
+# and the sample. `account`: what the operator's port may spend [J].
+STATE = record(
+    vectors="reference_velocity acceleration wish integral picture picture_before seen seen_before "
+    "v_l v_r arrived wanted force free_output stretch guiding pull middle command",
+    numbers="t sample_time alpha_min alpha_max beta_min beta_max account effort square_m square_s "
+    "sum_r sum_h",
+    counts="waited",
+    flags="sees finds found_before",
+    now=SAMPLE,
+    blending=BLENDING,
+)
+
+# What is decided in a sample; NaN leaves it to what is built in.
+DECIDED = record(
+    vectors="robot velocity u_a wanted guiding hand", numbers="alpha beta trust_hr trust_rh"
+)
+# What comes from outside in a sample: where the robot should be and how fast it should move, noise
+# of the hand, a force added to the hand's, whether the controller's camera finds its target; and
+# what is decided.
+EXTERNAL = record(vectors="reference reference_velocity motor push", flags="detected")
+INPUT = np.dtype([*EXTERNAL.descr, *DECIDED.descr])
+
+# A `TrustModel` for one sample time; `gain` is b/a.
+TRUST = record(numbers="decay gain p_min p_max t_min t_max")
+
+# The simulated hand and eye: gains on the error seen, delay in samples, lag, impedance, and
+# handling of α; `learned` is the share of what is new, per sample, in what an operator knows of the
+# channel.
+HAND = record(
+    numbers="proportional derivative compensation crossover learned decay reach mass stiffness "
+    "damping noise shift fatigue",
+    counts="delay patience",
+)
+
+# The autonomous controller (PID on what the camera saw `delay` samples ago), and half its picture's
+# width.
+AUTONOMY = record(numbers="proportional integral derivative reach picture", counts="delay")
+
+NUMBERS = record(
+    numbers="sample_time force_scaling guidance steepness command_range error_range budget_energy "
+    "budget_power admittance",
+    counts="window rule law guard guided_at",
+    trust_hr=TRUST,
+    trust_rh=TRUST,
+    hand=HAND,
+    auto=AUTONOMY,
+    device=ports.DEVICE,
+    near=END,
+    far=END,
+    # per axis, the exact (position, velocity, acceleration) a sample later from these and a command
+    flight=(float, (3, 3, 4)),
+    blend=(float, (DEGREE + 1, 3, 5, 5)),  # the cost of Appendix A
+)
+
+
+class LoopSetup(NamedTuple):
+    """
+    What stays the same in a run of K samples.
+
+    numbers, shape (1,): a record of NUMBERS. delays, shape (2, K + 1): delay in samples, to the
+    robot and back. arrives, shape (2, K): whether what is sent in a sample arrives at all.
+    """
+
+    numbers: np.ndarray
+    delays: np.ndarray
+    arrives: np.ndarray
+
+
+class LoopState(NamedTuple):
+    """
+    What samples hand on; changed in place.
+
+    whole, shape (1,): a record of STATE. sent, shape (2, K, 3): waves by the sample that they were
+    sent in, to the robot and back. accounts: `ports.accounts()`.
+    """
+
+    whole: np.ndarray
+    sent: np.ndarray
+    accounts: np.ndarray
+
 
 BLOCKS = ("the haptic device", "the channel", "the robot")
 DEVICE, CHANNEL, ROBOT = range(3)
@@ -44,39 +143,44 @@ def visible(error, widest):
 
 
 @step
+def measure_error(now):
+    """Set how far the robot is from where it should be."""
+    for i in AXES:
+        now.error[i] = now.reference[i] - now.robot[i]
+    now.path_error = np.sqrt(dot(now.error, now.error))
+
+
+@step
 def look(k, c, s, inputs, log):
     """Set the target, and what camera and operator see of it."""
     now, external = s.now, inputs[k]
     s.t = k * c.sample_time
     eye, camera = k - c.hand.delay, k - c.auto.delay
     widest = c.auto.picture
-    for i in AXES:
-        now.reference[i] = external.reference[i]
-        s.reference_velocity[i] = external.reference_velocity[i]
-        now.error[i] = external.reference[i] - now.robot[i]
-    now.path_error = np.sqrt(dot(now.error, now.error))
+    copy(external.reference, now.reference)
+    copy(external.reference_velocity, s.reference_velocity)
+    measure_error(now)
     s.sees = eye >= 1 and visible(log[eye].error, widest)
     shown = camera >= 1 and visible(log[camera].error, widest)
     s.finds = shown and inputs[camera].detected
     before = camera - 1
     s.found_before = s.finds and inputs[before].detected and visible(log[before].error, widest)
-    for i in AXES:
-        if s.sees:  # else the operator remembers where the target was last seen
-            s.seen[i], s.seen_before[i] = log[eye].error[i], log[eye - 1].error[i]
-        s.picture[i] = s.picture_before[i] = 0.0  # no force towards what nobody sees
-        if shown:
-            s.picture[i], s.picture_before[i] = log[camera].error[i], log[before].error[i]
-        s.stretch[i] = s.picture[i] if c.guided_at == AT_OPERATOR else now.error[i]
+    if s.sees:  # else the operator remembers where the target was last seen
+        copy(log[eye].error, s.seen)
+        copy(log[eye - 1].error, s.seen_before)
+    for i in AXES:  # no force towards what nobody sees
+        s.picture[i] = log[camera].error[i] if shown else 0.0
+        s.picture_before[i] = log[before].error[i] if shown else 0.0
+    copy(s.picture if c.guided_at == AT_OPERATOR else now.error, s.stretch)
 
 
 @step
 def receive(k, setup, c, s, state, log):
     """Set what comes out of the channel."""
     if c.guided_at != NOWHERE:
-        sent, delays = state.sent, setup.delays
-        arrives = setup.arrives
-        how = c.gain, LEDGER, c.sample_time
-        read_waves(sent[0], sent[1], arrives, k, delays, *how, state.accounts, s.v_l, s.v_r)
+        sent, late = state.sent, setup.delays
+        how = c.sample_time, state.accounts
+        read_waves(sent[0], sent[1], setup.arrives, k, late, *how, s.v_l, s.v_r)
     else:
         where = k - setup.delays[0, k]
         first = int(np.floor(where))
@@ -156,6 +260,13 @@ def chosen(value, proposal):
 
 
 @step
+def put(decided, proposal):
+    """Put what was decided of a vector in the place of what is proposed."""
+    for i in AXES:
+        proposal[i] = chosen(decided[i], proposal[i])
+
+
+@step
 def share_of_range(trust, model):
     """
     Return trust as a share of its range; the scales (3.5) and (3.6) have their midpoint at half of
@@ -190,18 +301,18 @@ def set_scales(c, s):
 def obey(c, s, external):
     """Put what was decided in the place of what is proposed, and set the scales."""
     now = s.now
+    put(external.robot, now.robot)
+    put(external.velocity, now.velocity)
+    put(external.u_a, now.u_a)
+    put(external.wanted, s.wanted)
+    measure_error(now)
+    if c.guided_at != AT_OPERATOR:  # the vehicle may have been moved from outside
+        copy(now.error, s.stretch)
     for i in AXES:
-        now.robot[i] = chosen(external.robot[i], now.robot[i])
-        now.velocity[i] = chosen(external.velocity[i], now.velocity[i])
-        now.error[i] = external.reference[i] - now.robot[i]
-        now.u_a[i] = chosen(external.u_a[i], now.u_a[i])
         # the ideal controller has the gain 1/s
         now.u_i[i] = external.reference_velocity[i] + now.error[i]
-        s.wanted[i] = chosen(external.wanted[i], s.wanted[i])
-        if c.guided_at != AT_OPERATOR:  # the vehicle may have been moved from outside
-            s.stretch[i] = now.error[i]
-        s.guiding[i] = chosen(external.guiding[i], -c.guidance * s.stretch[i])  # (3.17)
-    now.path_error = np.sqrt(dot(now.error, now.error))
+        s.guiding[i] = -c.guidance * s.stretch[i]  # (3.17)
+    put(external.guiding, s.guiding)
     now.trust_hr = chosen(external.trust_hr, now.trust_hr)
     now.trust_rh = chosen(external.trust_rh, now.trust_rh)
     set_scales(c, s)
@@ -228,7 +339,7 @@ def push(c, s, external):
         shaking = hand.noise * external.motor[i] * (1.0 + abs(s.wish[i]))
         s.force[i] = device.held_stiffness * goal + shaking + external.push[i]
         x, v = now.device[i], now.device_velocity[i]
-        s.free_output[i] = haptic.free_output(device, x, v, s.force[i])
+        s.free_output[i] = ports.free_output(device, x, v, s.force[i])
 
 
 # How guidance reaches the operator: both ends of the channel are solved, each with the port behind
@@ -267,7 +378,7 @@ def solve_operator_end(c, s):
         free = s.free_output[i] - c.admittance * guiding
         now.r_m[i] = free / loaded - through * s.v_l[i]
         # (3.12), (3.22)
-        now.f_m[i] = guiding + now.beta * waves.operator_force(near, now.r_m[i], s.v_l[i])
+        now.f_m[i] = guiding + now.beta * ports.operator_force(near, now.r_m[i], s.v_l[i])
 
 
 @step
@@ -278,7 +389,7 @@ def guide_through_channel(c, s):
     now, far = s.now, c.far
     for i in AXES:
         s.pull[i] = now.f_s[i] = s.guiding[i]
-        now.r_s[i] = now.alpha * waves.robot_velocity(far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
+        now.r_s[i] = now.alpha * ports.robot_velocity(far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
     gain = dot(now.r_s, now.r_s) * far.b / now.alpha
     share = passivity_share(c.guard, now.energy_robot, now.r_s, now.f_s, gain, c.sample_time)
     if share < 1.0:
@@ -308,7 +419,7 @@ def guide_at_operator(c, s):
         if share < 1.0:
             now.r_m[i] = share * now.r_m[i]
             now.f_m[i] = (s.free_output[i] - now.r_m[i]) / c.admittance
-        now.r_s[i] = now.alpha * waves.robot_velocity(c.far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
+        now.r_s[i] = now.alpha * ports.robot_velocity(c.far, now.f_s[i], s.v_r[i])  # (3.12), (3.22)
     now.port_share = share
 
 
@@ -319,7 +430,6 @@ def send_output(c, s):
     for i in AXES:
         now.r_m[i] = s.free_output[i]
         now.r_s[i] = now.alpha * s.arrived[i]
-        now.f_m[i] = now.f_s[i] = s.pull[i] = 0.0
     now.port_share = 1.0
 
 
@@ -328,29 +438,25 @@ def send_output(c, s):
 
 @step
 def account(k, c, s, external, sent):
-    """
-    Send the waves, book the energy of every port and set the robot's command; return |r_m|² +
-    |f_m|², by which device or channel are seen to diverge.
-    """
-    T = c.sample_time
-    scaling = c.force_scaling
+    """Send the waves, book the energy of every port and set the robot's command."""
+    T, scaling = c.sample_time, c.force_scaling
     hand, device = c.hand, c.device
     now = s.now
     bilateral = c.guided_at != NOWHERE
-    magnitude = now.energy_device = 0.0
+    now.energy_device = 0.0
     for i in AXES:
         x, v = now.device[i], now.device_velocity[i]
         r_m, f_m = now.r_m[i], now.f_m[i]
         r_s, f_s = now.r_s[i], now.f_s[i]
-        sent[0, k, i] = waves.operator_wave(c.near, r_m, s.v_l[i])  # (3.22)
-        sent[1, k, i] = waves.robot_wave(c.far, f_s, s.v_r[i])  # (3.22)
+        sent[0, k, i] = ports.operator_wave(c.near, r_m, s.v_l[i])  # (3.22)
+        sent[1, k, i] = ports.robot_wave(c.far, f_s, s.v_r[i])  # (3.22)
         # (3.8)
-        v_middle = haptic.midpoint_velocity(device, x, v, s.force[i], scaling * f_m)
+        v_middle = ports.midpoint_velocity(device, x, v, s.force[i], scaling * f_m)
         s.middle[i], x_middle = v_middle, x + 0.5 * T * v_middle
         held = s.force[i] - hand.stiffness * x_middle - hand.damping * v_middle
         now.f_h[i] = held - hand.mass * (2.0 * (v_middle - v) / T)
         # what the channel's end gives, (3.12) and (3.22); guidance and its guard give the rest
-        end = now.beta * waves.operator_force(c.near, r_m, s.v_l[i]) if bilateral else 0.0
+        end = now.beta * ports.operator_force(c.near, r_m, s.v_l[i]) if bilateral else 0.0
         now.guide[i] = f_m - now.beta * c.near.b * r_m if bilateral else 0.0
         now.energy_operator += T * r_m * now.f_h[i] / scaling  # (3.25)
         now.energy_port += T * r_m * f_m
@@ -359,16 +465,14 @@ def account(k, c, s, external, sent):
         now.energy_guidance += T * r_m * (f_m - end)
         now.energy_robot += T * r_s * f_s
         now.energy_target -= T * s.pull[i] * external.reference_velocity[i]
-        now.energy_dissipated += T / scaling * haptic.device_loss(device, x_middle, v_middle)
-        stored = haptic.device_storage(device, x + T * v_middle, 2.0 * v_middle - v)
-        now.energy_device += stored / scaling  # (3.9)
+        now.energy_dissipated += T / scaling * ports.device_loss(device, x_middle, v_middle)
+        after = x + T * v_middle, 2.0 * v_middle - v
+        now.energy_device += ports.device_storage(device, *after) / scaling  # (3.9)
         # What the vehicle is told: α u_h + (1 − α) u_a, the operator's share being r_s = α u_h.
         now.u_h[i] = r_s / now.alpha
         s.command[i] = r_s + (1.0 - now.alpha) * now.u_a[i]
-        magnitude += r_m**2 + f_m**2
     # see `GuidanceBudget`; without a budget the account is the port's energy
     s.account = min(s.account, c.budget_energy) + T * c.budget_power
-    return magnitude
 
 
 @step
@@ -414,9 +518,9 @@ def next_trust(trust, model, p):
 
 
 @step
-def advanced(row, x, v, a, gain, u):
-    """Return x, v or a of an axis one sample later: a row of its exact matrices, u being held."""
-    return row[0] * x + row[1] * v + row[2] * a + gain * u
+def advanced(row, x, v, a, u):
+    """Return x, v or a of an axis one sample later: a row of its exact matrix, u being held."""
+    return row[0] * x + row[1] * v + row[2] * a + row[3] * u
 
 
 @step
@@ -426,11 +530,10 @@ def move(c, s):
     for i in AXES:
         now.device[i] += c.sample_time * s.middle[i]
         now.device_velocity[i] = 2.0 * s.middle[i] - now.device_velocity[i]
-        phi, gamma, u = c.phi[i], c.gamma[i], s.command[i]
-        x, v, a = now.robot[i], now.velocity[i], s.acceleration[i]
-        now.robot[i] = advanced(phi[0], x, v, a, gamma[0], u)
-        now.velocity[i] = advanced(phi[1], x, v, a, gamma[1], u)
-        s.acceleration[i] = advanced(phi[2], x, v, a, gamma[2], u)
+        x, v, a, u = now.robot[i], now.velocity[i], s.acceleration[i], s.command[i]
+        now.robot[i] = advanced(c.flight[i, 0], x, v, a, u)
+        now.velocity[i] = advanced(c.flight[i, 1], x, v, a, u)
+        s.acceleration[i] = advanced(c.flight[i, 2], x, v, a, u)
     now.trust_hr = next_trust(now.trust_hr, c.trust_hr, now.p_r)  # (3.2)
     now.trust_rh = next_trust(now.trust_rh, c.trust_rh, now.p_h)  # (3.3)
 
@@ -462,12 +565,12 @@ def teleoperate(first, stop, setup, state, inputs, log):
             guide_through_channel(c, s)
         else:
             send_output(c, s)
-        magnitude = account(k, c, s, external, state.sent)
+        account(k, c, s, external, state.sent)
         judge(k, c, s, log)
         log[k] = now
         if not now.energy_device < 1e9:
             return k + 1, DEVICE
-        if not magnitude < 1e18:
+        if not dot(now.r_m, now.r_m) + dot(now.f_m, now.f_m) < 1e18:
             return k + 1, CHANNEL
         move(c, s)
         arrive(k + 1, setup, c, state, inputs, log)

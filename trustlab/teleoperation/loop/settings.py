@@ -27,10 +27,16 @@ from trustlab.models.display import axes_or_new
 from trustlab.models.simulation import filled
 from trustlab.models.trust import TrustModel, logistic_scale
 from trustlab.models.uav import held_over
-from trustlab.teleoperation.loop.kernel import BY_HAND, GUIDANCE, LOGISTIC, MANUAL, STEPS
-from trustlab.teleoperation.loop.records import SAMPLE, STATE
-from trustlab.teleoperation.ports.device import METHODS, HapticDevice
-from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.loop.kernel import (
+    BY_HAND,
+    GUIDANCE,
+    LOGISTIC,
+    MANUAL,
+    SAMPLE,
+    STATE,
+    STEPS,
+)
+from trustlab.teleoperation.ports import METHODS, HapticDevice, Scattering
 
 # By how much, as a share, scales and trust may lie beyond their bounds, for rounding.
 SLACK = 1e-12
@@ -441,21 +447,20 @@ def blending_cost(vehicle, gains, low: float, high: float) -> np.ndarray:
 
 
 @lru_cache(maxsize=64)
-def vehicle_matrices(axes: tuple, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
+def vehicle_matrices(axes: tuple, sample_time: float) -> np.ndarray:
     """
-    Return exact one-sample matrices of (position, velocity, acceleration) for a command held over
-    the sample: the state transition, shape (3, 3, 3), and the effect of the command, shape (3, 3),
-    by axis.
+    Return exact one-sample matrices, shape (3, 3, 4), by axis: (position, velocity, acceleration) a
+    sample later from these and a command that is held.
 
     Worked out once: exponentials take longer than a minute of the loop. An axis of order 1 leaves
     its acceleration at zero.
     """
-    phi, gamma = np.zeros((3, 3, 3)), np.zeros((3, 3))
-    for i, axis in enumerate(axes):
+    matrices = np.zeros((3, 3, 4))
+    for matrix, axis in zip(matrices, axes, strict=True):
         n = axis.order + 1
         a, b = axis.matrices()
         moving = np.pad(a, ((1, 0), (1, 0)))
         moving[0, 1] = 1.0
-        phi[i, :n, :n], gamma[i, :n] = held_over(sample_time, moving, np.pad(b, (1, 0)))
-    phi.flags.writeable = gamma.flags.writeable = False
-    return phi, gamma
+        matrix[:n, :n], matrix[:n, 3] = held_over(sample_time, moving, np.pad(b, (1, 0)))
+    matrices.flags.writeable = False
+    return matrices

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from trustlab.models.checks import Checked, NotNegative, finite_array, one_of, shown
+from trustlab.models.checks import Checked, NotNegative, finite_array, list_of, one_of
 
 # Times [s] so near each other are the same.
 SLACK = 1e-9
@@ -158,12 +158,9 @@ class GivenSequence:
 
     def __post_init__(self):
         if self.robots is not None:
-            listed = np.iterable(self.robots) and not isinstance(self.robots, str)
-            names = tuple(self.robots) if listed else ()
+            names = tuple(list_of("robots", self.robots))
             if not names:
-                raise ValueError(
-                    f"robots must be a list of names, at least one, got {shown(self.robots)}"
-                )
+                raise ValueError("robots must be a list of at least one name, got none")
             object.__setattr__(self, "robots", names)
         if self.times is not None:
             if self.robots is None:

@@ -56,6 +56,8 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
     """
     require_connected = flag("require_connected", require_connected)
     names, matrix = _matrix(graph)
+    if hasattr(graph, "edges") and len(set(graph.edges())) < graph.number_of_edges():
+        raise GraphError("the graph has parallel edges; pass networkx.Graph(graph)")
     if len(names) < 2:
         raise GraphError(f"a team needs two robots or more, got {len(names)}")
     wrong = ~(np.isfinite(matrix) & (matrix >= 0.0)) | np.diag(matrix.diagonal() != 0.0)
@@ -78,12 +80,6 @@ def team_graph(graph, require_connected: bool = True) -> tuple[tuple, np.ndarray
 
 def _matrix(graph) -> tuple[tuple, np.ndarray]:
     """Return names and adjacency as a user gives them."""
-    if hasattr(graph, "is_multigraph") and graph.is_multigraph():
-        import networkx
-
-        plain = networkx.DiGraph(graph) if graph.is_directed() else networkx.Graph(graph)
-        if plain.number_of_edges() < graph.number_of_edges():
-            raise GraphError("the graph has parallel edges; pass networkx.Graph(graph)")
     try:
         if hasattr(graph, "nodes"):
             import networkx

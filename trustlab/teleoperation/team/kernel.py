@@ -13,9 +13,8 @@ import numpy as np
 from trustlab.models.compiled import njit
 from trustlab.models.records import AXES, block, columns_of, record, step
 from trustlab.models.trust import logistic_scale, trust_step
-from trustlab.teleoperation.ports import device as haptic, waves
-from trustlab.teleoperation.ports.device import DEVICE
-from trustlab.teleoperation.ports.waves import END, LEDGER, dot, read_waves
+from trustlab.teleoperation import ports
+from trustlab.teleoperation.ports import DEVICE, END, copy, dot, read_waves
 
 BLOCKS = ("the haptic device", "the channel", "the team")
 
@@ -46,10 +45,7 @@ ARRIVED = "error way v_l v_r open_force"
 # what a robot's neighbours pull it by.
 SIGNALS = "channel_force aim pulled"
 # The hand's spring [N/m], powers of this sample [W], and what is dissipated in it.
-POWERS = (
-    "spring seen_power near_power far_power hand_power device_power device_loss team_loss "
-    "error_loss"
-)
+POWERS = "spring seen_power near_power far_power device_loss team_loss error_loss"
 # The graph of the sample before, and the robot for which the operator's end of the channel is set.
 WITHIN = record(vectors=f"{CARRIED} {ARRIVED} {SIGNALS}", numbers=POWERS, counts="graph head")
 # What both ends read and leave; it begins with the row of the log, so that energies since the start
@@ -70,12 +66,11 @@ LOW_PASS = record(numbers="decay gate k12 k21")
 # What comes in goes out.
 UNFILTERED = (0.0, 1.0, 0.0, 0.0)
 
-# Device, two-port or none, filter of waves, operator and how delays are read; see `TeamSettings`
-# and `TeamOperator`.
+# Device, two-port or none, filter of waves, and operator; see `TeamSettings` and `TeamOperator`.
 NUMBERS = record(
     vectors="goal",
     numbers=(
-        "sample_time gain cutoff push grip reach drag budget reserve error_range steepness "
+        "sample_time cutoff push grip reach drag budget reserve error_range steepness "
         "lead_gain force_gain"
     ),
     counts="vision per_decision per_row",
@@ -113,7 +108,7 @@ TeamSetup = namedtuple(
 # distance to the goal and ζ, over √s. middle, shape (N, 3): q in the middle of the sample, first as
 # if the leader were not driven. rated, shape (N,): how well robots moved in the last sample before
 # a decision. trust, shape (N,): in the operator, (4.2). arrives, shape (2, K): whether waves do.
-# u_l, u_r, shape (K, 3): waves. accounts: `waves.accounts()`.
+# u_l, u_r, shape (K, 3): waves. accounts: `ports.accounts()`.
 TeamState = namedtuple("TeamState", "now shown q zeta middle rated trust arrives u_l u_r accounts")
 
 # samples, shape (K,): records of SAMPLE. table, shape (rows,): records of STATE, every `per_row`
@@ -145,7 +140,7 @@ def store_energy(n, state, now):
     now.v_hd = squares = 0.0
     for i in AXES:
         # (3.9)
-        now.v_hd += haptic.device_storage(n.device, now.device[i], now.device_velocity[i])
+        now.v_hd += ports.device_storage(n.device, now.device[i], now.device_velocity[i])
     for j in range(state.trust.size):
         squares += dot(state.q[j], state.q[j]) + dot(state.zeta[j], state.zeta[j])
     now.v_e = 0.5 * squares / n.lead_gain  # (4.29)
@@ -200,9 +195,8 @@ def receive(n, setup, lead, k, state, now):
     """Set the waves that arrive at both ends, (3.16), filtered where waves are."""
     for way in range(2):
         state.arrives[way, k] = setup.draws[way, k] >= setup.robots[lead].loss
-    waves_there = state.u_l, state.u_r, state.arrives
-    how = n.gain, LEDGER, n.sample_time
-    read_waves(*waves_there, k, setup.delays, *how, state.accounts, now.v_l, now.v_r)
+    sent, how = (state.u_l, state.u_r), (n.sample_time, state.accounts)
+    read_waves(*sent, state.arrives, k, setup.delays, *how, now.v_l, now.v_r)
     if n.filtering:
         filter_wave(n.low_pass, now.v_r, now.filtered_r)
         filter_wave(n.low_pass, now.v_l, now.filtered_l)
@@ -241,11 +235,11 @@ def operator_side(n, end, spendable, state, u_l):
     pushing = state.spring * np.sqrt(dot(state.way, state.way))
     spring = state.spring * min(1.0, n.reach / pushing) if pushing > 0.0 else 0.0
     for i in AXES:  # f_m and r_m as if the hand did not push
-        held = waves.operator_force(end, filters.decay * state.near_velocity[i], state.v_l[i])
+        held = ports.operator_force(end, filters.decay * state.near_velocity[i], state.v_l[i])
         state.channel_force[i] = state.beta * held / loaded  # (3.22), (3.12)
         state.f_m[i] = middle_of(filters, state.channel_force[i], state.near_force[i])
         x, v = state.device[i], state.device_velocity[i]
-        state.r_m[i] = haptic.free_output(device, x, v, -state.f_m[i]) / under
+        state.r_m[i] = ports.free_output(device, x, v, -state.f_m[i]) / under
         state.aim[i] = spring * state.way[i]
     state.push = 1.0
     if n.guarded:
@@ -254,7 +248,7 @@ def operator_side(n, end, spendable, state, u_l):
         square = mobility * (1.0 - n.drag * mobility) * dot(state.aim, state.aim)
         still = dot(state.r_m, state.r_m)
         state.push = push_share(spendable, power, pull, square, still, n.drag)  # (4.30)
-    state.device_power = state.device_loss = state.near_power = 0.0
+    state.device_loss = state.near_power = 0.0
     for i in AXES:
         state.r_m[i] += mobility * state.push * state.aim[i]
         state.f_m[i] += resistance * state.r_m[i]
@@ -263,19 +257,17 @@ def operator_side(n, end, spendable, state, u_l):
         force = state.channel_force[i] + echo * state.r_m[i]
         passed = middle_of(filters, state.r_m[i], state.near_velocity[i])
         velocity = passed - filters.k12 * force
-        u_l[i] = waves.operator_wave(end, velocity, state.v_l[i])  # (3.22)
+        u_l[i] = ports.operator_wave(end, velocity, state.v_l[i])  # (3.22)
         x, v = state.device[i], state.device_velocity[i]
         # (4.6)
-        v_middle = haptic.midpoint_velocity(device, x, v, state.f_h[i], state.f_m[i])
+        v_middle = ports.midpoint_velocity(device, x, v, state.f_h[i], state.f_m[i])
         state.middle[i] = v_middle
         x_middle = x + 0.5 * n.sample_time * v_middle
-        state.device_loss += haptic.device_loss(device, x_middle, v_middle)  # (3.10)
-        state.device_power += state.r_m[i] * (state.f_h[i] - state.f_m[i])
+        state.device_loss += ports.device_loss(device, x_middle, v_middle)  # (3.10)
         state.near_power += velocity * force
         passed_force = state.f_m[i] - filters.k21 * state.r_m[i]
         state.near_velocity[i] = 2.0 * passed - state.near_velocity[i]
         state.near_force[i] = 2.0 * passed_force - state.near_force[i]
-    state.hand_power = dot(state.r_m, state.f_h)
 
 
 @step
@@ -295,12 +287,12 @@ def robot_side(filters, end, stiffness, state, u_r):
         loose = filters.decay * state.far_velocity[i]
         offset = (loose - filters.k12 * state.open_force[i]) / under
         held = middle_of(filters, state.open_force[i] + stiffness * offset, state.far_force[i])
-        free = waves.robot_velocity(end, held, state.v_r[i])
+        free = ports.robot_velocity(end, held, state.v_r[i])
         velocity = free / (1.0 + resistance / end.b)  # (3.22), α = 1
         force = held + resistance * velocity
         state.r_s[i] = offset + share * velocity
         state.f_s[i] = state.open_force[i] + stiffness * state.r_s[i]  # (4.24)
-        u_r[i] = waves.robot_wave(end, force, state.v_r[i])  # (3.22)
+        u_r[i] = ports.robot_wave(end, force, state.v_r[i])  # (3.22)
         state.far_power += velocity * force
         passed = loose + filters.gate * velocity
         passed_force = force - filters.k21 * velocity
@@ -385,18 +377,18 @@ def rate_motion(n, robots, drift, state):
 def account_energy(n, seen_loss, state):
     """Step the device, and book the energy of every port; `seen_loss` is that of the picture."""
     T = n.sample_time
-    filter_power = 0.0
     for i in AXES:
         state.device[i] += T * state.middle[i]
         state.device_velocity[i] = 2.0 * state.middle[i] - state.device_velocity[i]
-        filter_power += state.r_m[i] * state.f_m[i] - state.r_s[i] * state.f_s[i]
-    state.v_h += T * (state.seen_power - state.hand_power)  # (4.30)
-    state.v_ch += T * (state.near_power - state.far_power)  # (4.15)
-    state.supply_team += T * dot(state.r_s, state.f_s)
+    hand, port = dot(state.r_m, state.f_h), dot(state.r_m, state.f_m)
+    team, channel = dot(state.r_s, state.f_s), state.near_power - state.far_power
+    state.v_h += T * (state.seen_power - hand)  # (4.30)
+    state.v_ch += T * channel  # (4.15)
+    state.supply_team += T * team
     state.supply_error += T * dot(state.r_s, state.leader)
-    state.supply_hand += T * state.hand_power
-    state.supply_device += T * state.device_power
-    state.supply_filter += T * (filter_power - state.near_power + state.far_power)
+    state.supply_hand += T * hand
+    state.supply_device += T * (hand - port)
+    state.supply_filter += T * (port - team - channel)
     state.lost_device += T * state.device_loss
     state.lost_team += T * state.team_loss
     state.lost_error += T * state.error_loss
@@ -417,8 +409,7 @@ def diverged(state):
 def log_places(state, places):
     """Log where the robots are."""
     for j in range(state.trust.size):
-        for i in AXES:
-            places[j, i] = state.q[j, i]
+        copy(state.q[j], places[j])
 
 
 @njit(error_model="numpy", _nrt=False)
@@ -460,8 +451,8 @@ def lead_team(first, stop, setup, state, inputs, log):
             now.v_fs = stored_by(setup, graph, state)
         move(n, matrices, leader, lead, drift, state, now)
         sample.stored, sample.lost = now.v_e, now.error_loss
-        for i in AXES:
-            sample.sent[i], sample.seen[i] = now.r_s[i], now.leader[i]
+        copy(now.r_s, sample.sent)
+        copy(now.leader, sample.seen)
         if shown:
             now.v_e_delayed = past.stored
             stored = now.v_h + n.budget + now.v_hd + now.v_ch + now.v_fs

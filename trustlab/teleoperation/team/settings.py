@@ -22,8 +22,7 @@ from trustlab.models.checks import (
 )
 from trustlab.models.trust import TrustModel
 from trustlab.teleoperation.delays import both_ways, delay_from
-from trustlab.teleoperation.ports.device import HapticDevice
-from trustlab.teleoperation.ports.waves import Scattering
+from trustlab.teleoperation.ports import HapticDevice, Scattering
 from trustlab.teleoperation.team.graphs import GraphError, laplacian, team_graph
 
 # What the filters F1 and F2 of Fig. 4.1 are, by name.
