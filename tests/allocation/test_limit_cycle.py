@@ -133,7 +133,7 @@ def test_a_survey_has_the_motions_of_limit_cycle_and_a_quick_one_comes_near():
     models = [OPERATORS[name] for name in ("2", "3", "pilot")]
     exact, screened = survey(models, pairs), survey(models, pairs, SCREEN)
     cycles = [limit_cycle(tsc, *pair) for tsc, pair in itertools.product(models, pairs)]
-    assert exact[["lower", "upper"]].to_numpy().tolist() == pairs * 3
+    assert np.column_stack([exact["lower"], exact["upper"]]).tolist() == pairs * 3
     for rows, near in ((exact, 1e-3), (screened, 0.01)):
         assert rows["p_switches"].tolist() == [cycle.exists for cycle in cycles]
         for name in ("r_low", "mean_r", "mean_p_r"):

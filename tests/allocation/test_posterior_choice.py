@@ -8,6 +8,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.random import default_rng
 from pandas.testing import assert_frame_equal
@@ -45,7 +46,7 @@ def spy(monkeypatch):
         if starts:
             seen.tried.append(tuple(pairs[0]))
             if len(seen.tried) <= seen.fails:
-                motions.loc[motions["model"] % 12 == 0, "p_encloses"] = False
+                motions["p_encloses"][motions["model"] % 12 == 0] = False
         return motions
 
     monkeypatch.setattr(thresholds, "survey", survey)
@@ -78,7 +79,7 @@ def test_a_probability_is_that_of_the_motion_itself(clear, name, margin):
     assert choose_thresholds(tsc, margin=margin, points=14).probability == 1.0
 
 
-@parametrize(("name", "value"), [("points", 0), ("margin", 99.0), ("delta_p_h", -1.0)])
+@parametrize(("name", "value"), [("points", 0), ("margin", 99.0), ("objective", -1.0)])
 def test_of_a_posterior_too_arguments_out_of_range_are_refused(clear, name, value):
     with refused(f"{name} must"):
         choose_thresholds(clear, **{name: value})
@@ -90,7 +91,8 @@ def test_a_pair_is_judged_by_its_motion_sample_by_sample():
     screened = survey([tsc], [pair], SCREEN)
     assert screened["p_encloses"].all()
     assert not encloses_beta(settled(tsc, *pair, r0=0.6), tsc)
-    assert thresholds._followed([tsc] * 3, screened, 0.95, "p_encloses") == (*pair, 0.0, 0.0)
+    table = pd.DataFrame(screened)
+    assert thresholds._followed([tsc] * 3, table, 0.95, "p_encloses") == (*pair, 0.0, 0.0)
 
 
 def test_how_far_a_motion_keeps_from_beta():

@@ -63,9 +63,6 @@ def test_a_fit_is_taken_and_warned_of_where_it_is_unsure(make_session, switching
         again = choose_thresholds(unsure, points=12)
     assert (again.lower, again.upper) == (choice.lower, choice.upper)
     assert again.message.endswith(choice.message)
-    # Advice about a model that is not to be used would mislead: the fit is named first.
-    with warned(r"beta is weakly.*sample_posterior.*leaves no room"):
-        choose_thresholds(unsure, delta_p_h=0.01, points=4)
     with refused(r"TscModel, got RobotModel; fit one with"):
         choose_thresholds(tl.fit_robot(session))
 
@@ -118,10 +115,7 @@ def test_a_pair_does_what_is_said_from_rest_as_well():
     assert choice.probability == float(encloses_beta(run, model))
 
 
-def test_no_room_between_the_limits_is_remark_4():
-    says = r"TSC_ub = .* does not exceed TSC_lb .*\(Remark 4\).*a smaller δ_Ph than 0\.01"
-    with warned(says):
-        choose_thresholds(PILOT, delta_p_h=0.01)
+def test_a_confidence_is_for_posteriors():
     with refused(r"confidence = 0\.9 would do nothing"):
         choose_thresholds(PILOT, confidence=0.9)
 
@@ -150,13 +144,9 @@ def test_thresholds_are_read_off_the_switches(after, first):
 def test_choices_say_which_limits_they_keep():
     for model in (PILOT, SECOND, OPERATORS["4"]):
         own = tl.threshold_limits(model, None)
-        for delta in (0.0, own.delta_p_h):
-            choice = choose_thresholds(model, delta, points=6, enclose_beta=False)
-            assert choice.limits == tl.threshold_limits(model, delta)
-            covers = own.contains(choice.lower, choice.upper)
-            assert covers == (delta > 0.0)
-            text = f"does not cover the pair at the model's own δ_Ph: {own.message}"
-            assert (text in choice.message) != covers
+        choice = choose_thresholds(model, points=6, enclose_beta=False)
+        assert choice.limits == tl.threshold_limits(model)
+        assert f"does not cover the pair at the model's own δ_Ph: {own.message}" in choice.message
 
 
 def exactly(mean, sd, n):

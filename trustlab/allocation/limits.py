@@ -98,7 +98,6 @@ class ThresholdLimits(Result):
     delta_p_h: float
 
     title = "Limits of the thresholds"
-    how_to_get = "trustlab.threshold_limits(tsc) returns them"
 
     @property
     def feasible(self) -> bool:

@@ -25,7 +25,6 @@ from trustlab.identification.result import FitResult
 from trustlab.models.checks import (
     between,
     flag,
-    not_negative,
     of_class,
     one_of,
     open_unit,
@@ -62,11 +61,6 @@ UNSURE = (
     "The fit has success = False: {} With posterior = trustlab.sample_posterior(sessions), "
     "choose_thresholds(posterior) offers thresholds with a probability, or says what to record. {}"
 )
-
-OBJECTIVES = {
-    "peak": "highest peak of robot performance",
-    "mean": "greatest mean robot performance",
-}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,8 +105,6 @@ class ThresholdChoice(Result):
     limits: ThresholdLimits
     candidates: pd.DataFrame
     tsc: Any
-
-    how_to_get = "trustlab.choose_thresholds(tsc) returns one"
 
     @property
     def offered(self) -> bool:
@@ -189,28 +181,25 @@ class ThresholdChoice(Result):
 
 def choose_thresholds(
     tsc: TscModel | FitResult | Posterior,
-    delta_p_h: float = 0.0,
     margin: float | None = None,
     points: int | None = None,
     objective: str | float = "peak",
     confidence: float | None = None,
-    enclose_beta: bool | None = None,
+    enclose_beta: bool = True,
 ) -> ThresholdChoice:
     """
     Choose thresholds by Algorithm 1: utilization encloses β, performance is near its best.
 
-    All pairs of a grid within the limits, less a margin, are followed to their steady motion. Among
-    those that keep switching around β the one with the greatest objective is taken; of a posterior,
-    among those that do with a probability of `confidence`, by expectation.
+    All pairs of a grid within the limits of Theorem 1 at δ_Ph = 0, as where TSC settles, less a
+    margin, are followed to their steady motion. Among those that keep switching around β the one
+    with the greatest objective is taken; of a posterior, among those that do with a probability of
+    `confidence`, by expectation.
 
     Parameters
     ----------
     tsc : TscModel, FitResult or Posterior
         The model; a fit of one by `fit_tsc`; or a posterior (`sample_posterior`), which alone gives
         a probability.
-    delta_p_h : float
-        δ_Ph of the limits of Theorem 1 that the search keeps to. 0 takes them as TSC settles;
-        whether a pair keeps switching is then seen from its motion.
     margin : float, optional
         Distance to keep from either limit, as a share of TSC_ub − TSC_lb, from 0.001 to 0.49; 0.1,
         and 0.03 for a posterior, whose probability says what is safe, when not given.
@@ -224,9 +213,8 @@ def choose_thresholds(
     confidence : float, optional
         For a posterior alone: the probability that a pair must have to be offered, in (0, 1); 0.95
         when not given.
-    enclose_beta : bool, optional
-        Whether the steady utilization must enclose β, as it must when not given; if not, the rule
-        must keep switching.
+    enclose_beta : bool
+        Whether the steady utilization must enclose β; if not, the rule must keep switching.
 
     Returns
     -------
@@ -247,7 +235,8 @@ def choose_thresholds(
     -----
     Theorem 1 is sufficient and not necessary. At the δ_Ph that a model itself gives, `step_bounds`,
     its limits are narrower than at 0, or there are none, and for all printed models the pair chosen
-    here lies outside of them; the message says so. To stay within them give that δ_Ph.
+    here lies outside of them; the message says so. To stay within them take
+    the first of `.candidates` that `threshold_limits(tsc, None)` contains.
 
     Examples
     --------
@@ -261,10 +250,11 @@ def choose_thresholds(
     share = between("margin", share if margin is None else margin, 0.001, 0.49)
     count = whole_number("points", count if points is None else points, least=4, most=500)
     if isinstance(objective, str):
-        one_of("objective", objective, OBJECTIVES, "a weight in [0, 1]")
+        one_of("objective", objective, ("peak", "mean"), "a weight in [0, 1]")
+        weight = 1.0
     else:
-        between("objective", objective, 0.0, 1.0)
-    enclose = enclose_beta is None or flag("enclose_beta", enclose_beta)
+        weight = between("objective", objective, 0.0, 1.0)
+    aim, goal = ENCLOSING if flag("enclose_beta", enclose_beta) else SWITCHING
     if confidence is not None and not of_posterior:
         raise ValueError(
             f"confidence = {confidence} would do nothing: of one model a pair keeps switching or "
@@ -274,15 +264,14 @@ def choose_thresholds(
     fit = tsc if isinstance(tsc, FitResult) else None
     source: Any = fit.model if fit else tsc
     models = source.models if of_posterior else [of_class("tsc", source, TscModel)]
-    limits, reason = _room(models, not_negative("delta_p_h", delta_p_h))
+    limits, reason = _room(models)
     lower = upper = probability = np.nan
     message, around, table = "", 0.0, pd.DataFrame(columns=PAIR + COLUMNS, dtype=float)
     if not reason:
         off = share * (limits.upper - limits.lower)
         pairs = grid_of_pairs(limits.lower + off, limits.upper - off, count)
-        aim, goal = ENCLOSING if enclose else SWITCHING
-        motions = survey(models[:SCREENED], pairs, SCREEN if of_posterior else EXACT)
-        table = _ranked(motions, objective, asked, aim)
+        motions = survey(models[:SCREENED], pairs, SCREEN if of_posterior else EXACT, weight)
+        table = _ranked(motions, "p_r_high" if objective == "peak" else "points", asked, aim)
         lower, upper, probability, around = _followed(models, table, asked, aim)
         if probability < asked:
             reason = (
@@ -291,18 +280,22 @@ def choose_thresholds(
             if of_posterior:
                 reason += f" with probability {asked:g}; the nearest does with {probability:.3f}. "
                 reason += _what_would_help(source, table, asked, aim)
-            elif enclose:
+            elif enclose_beta:
                 reason += _how_near(limit_cycle(source, lower, upper))
         else:
-            sure = "for exactly this model" if fit is None else OF_A_FIT
+            sure = OF_A_FIT if fit else "for exactly this model"
             if of_posterior:
                 sure = f"with probability {probability:.3f} (asked for: {asked:g})"
-            best = OBJECTIVES.get(str(objective), "greatest weighted performance")
             message = (
                 f"Thresholds {lower:.3f} and {upper:.3f}: the rule {goal} {sure}; of the pairs "
-                f"that do, they reach the {best}. Limits: {limits.message}."
+                f"that do, they are best by objective={objective!r}. Limits: {limits.message}."
             )
-            message += _beside_theorem_1(models, lower, upper)
+            own = threshold_limits(models[0], None)
+            if not (of_posterior or own.contains(lower, upper)):
+                message += (
+                    f" Theorem 1 does not cover the pair at the model's own δ_Ph: {own.message}; "
+                    "that it keeps switching is seen from its motion."
+                )
             message += " Utilization does not enclose β." * (around < asked)
     if reason:
         message = f"No thresholds: {reason}"
@@ -325,29 +318,16 @@ def _how_near(cycle: LimitCycle) -> str:
     )
 
 
-def _beside_theorem_1(models: list[TscModel], lower: float, upper: float) -> str:
-    """Say where a model's own δ_Ph leaves the pair outside the limits of Theorem 1."""
-    own = threshold_limits(models[0], None)
-    if len(models) > 1 or own.contains(lower, upper):
-        return ""
-    return (
-        f" Theorem 1 does not cover the pair at the model's own δ_Ph: {own.message}; that it "
-        "keeps switching is seen from its motion."
-    )
-
-
 # --- the search -----------------------------------------------------------------------------------
 
 
-def _ranked(motions: pd.DataFrame, objective: str | float, asked: float, aim: str) -> pd.DataFrame:
+def _ranked(motions: np.ndarray, objective: str, asked: float, aim: str) -> pd.DataFrame:
     """
     Return means over models of what pairs lead to, the best pair first: of those that do what is
     asked, then of those nearest to it.
     """
-    weight = 1.0 if isinstance(objective, str) else objective
-    points = weight * motions["robot_points"] + (1.0 - weight) * motions["human_points"]
-    motions["objective"] = motions["p_r_high"] if objective == "peak" else points
-    table = motions.groupby(PAIR)[COLUMNS].mean().reset_index()
+    table = pd.DataFrame(motions).assign(objective=motions[objective])
+    table = table.groupby(PAIR)[COLUMNS].mean().reset_index()
     able = table[aim] >= asked
     first = table["objective"].where(able, table[aim])
     second = table["mean_p_r"].where(able, -table["off_beta"])
@@ -367,7 +347,7 @@ def _followed(
     likely = table[count:able].sort_values(aim, ascending=False, kind="stable")[:FOLLOWED]
     tried = []
     for pair in pd.concat([table[:count], likely])[PAIR].to_numpy():
-        motions = survey(models, [pair], starts=BOTH)
+        motions = pd.DataFrame(survey(models, [pair], starts=BOTH))
         shares = motions.groupby("model")[["p_switches", "p_encloses"]].all().mean()
         tried.append((*pair.tolist(), float(shares[aim]), float(shares["p_encloses"])))
         if shares[aim] >= asked:
@@ -385,7 +365,7 @@ def _what_would_help(posterior: Posterior, table: pd.DataFrame, asked: float, ai
     for times in LONGER:
         nearer = thetas.copy()
         nearer[:, :SHARED] -= (1.0 - times**-0.5) * apart
-        motions = survey(tsc_models(physical(nearer, 0.1)), pairs, SCREEN)
+        motions = pd.DataFrame(survey(tsc_models(physical(nearer, 0.1)), pairs, SCREEN))
         if motions.groupby(PAIR)[aim].mean().max() >= asked:
             return f"Record about {times} times as much: {minutes * times:.0f} minutes."
     return (
@@ -394,22 +374,17 @@ def _what_would_help(posterior: Posterior, table: pd.DataFrame, asked: float, ai
     )
 
 
-def _room(models: list[TscModel], delta: float) -> tuple[ThresholdLimits, str]:
+def _room(models: list[TscModel]) -> tuple[ThresholdLimits, str]:
     """Return the limits, medians over the models, and why they leave no room, if they do."""
-    c = TscConstants(*np.transpose([tsc.constants() for tsc in models]))
-    ends = limits_as_printed(c, delta)
-    lower, upper = (float(np.median(end)) for end in ends)
-    limits = ThresholdLimits(lower, upper, delta)
+    ends = limits_as_printed(TscConstants(*np.transpose([tsc.constants() for tsc in models])), 0.0)
+    limits = ThresholdLimits(*(float(np.median(end)) for end in ends), 0.0)
     if limits.feasible:
         return limits, ""
     share = (ends[0] < ends[1]).mean()
     known = "no recording of this robot and operator can help"
     if share > 0.05:
         known = f"there is room in {share:.0%} of the draws, so that more data may show some"
-    least, most = map(np.median, limits_as_printed(c, 0.0))
-    smaller = f", or take a smaller δ_Ph than {delta:.3g}" if least < most else ""
     return limits, (
-        f"Theorem 1 leaves no room at δ_Ph = {delta:.3g}: TSC_ub = {limits.upper:.4f} does not "
-        f"exceed TSC_lb = {limits.lower:.4f} (Remark 4); {known}. Remedy: widen the range of robot "
-        f"performance (p_max − p_min){smaller}."
+        f"Theorem 1 leaves no room: {limits.message}; {known}. Remedy: widen the range of robot "
+        "performance (p_max − p_min)."
     )
