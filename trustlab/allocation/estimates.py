@@ -136,15 +136,13 @@ def estimate_thresholds(
     rows = []
     for number, run in enumerate(each_once(as_list(sessions))):
         mode = run["mode"]
-        wrong = "thresholds need a mode of 0 or 1, not shares"
-        if model is None and "tsc" not in run:
-            wrong = (
-                "column 'tsc' is missing; give model=TscModel(...) to compute it from p_r and p_h"
+        known = model is not None or "tsc" in run
+        if not (known and np.isin(mode, (0.0, 1.0)).all()):
+            raise SessionError(
+                f"{run.label}: thresholds need a mode of 0 or 1, not shares, and column 'tsc'; or "
+                "give model=TscModel(...) to compute it from p_r and p_h",
+                run.metadata.source,
             )
-        elif np.isin(mode, (0.0, 1.0)).all():
-            wrong = ""
-        if wrong:
-            raise SessionError(f"{run.label}: {wrong}", run.metadata.source)
         tsc = run["tsc"] if model is None else model.value(run["p_r"], run["p_h"])
         for k in np.flatnonzero((np.diff(mode) != 0.0) & (run.t[1:] >= after)) + 1:
             rows.append((number, run.t[k], "lower" if mode[k] == 1.0 else "upper", tsc[k]))
