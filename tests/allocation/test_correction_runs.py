@@ -18,7 +18,7 @@ from tests.cases import refused
 from trustlab.allocation import incentive_box
 from trustlab.allocation.correction import OPTIMAL
 from trustlab.allocation.correction_run import MISSING, NEAREST, OUTSIDE, _deciding
-from trustlab.allocation.simulation import STATE
+from trustlab.allocation.rules import STATE
 
 START, TARGET = (0.0, 0.35), (0.05, 0.4)
 CORRECTOR = tl.ThresholdCorrector(SECOND, TARGET, c_b=1e-4, horizon=50)
@@ -75,8 +75,6 @@ def test_what_is_refused_changes_nothing():
     loop = online()
     with refused("mode"):
         loop.update(0.3, 0.38, 2)
-    with refused("mode"):
-        online(mode=2)
     assert (loop.lower, loop.upper, loop.r, len(loop.table())) == (*START, 0.0, 0)
 
 

@@ -311,7 +311,7 @@ class AllocationCore:
         self.mode: float = 1
         self.forced = True
         if rule is not None:
-            self.rule, self.mode = prepared_rule(rule, None)
+            self.rule, self.mode = prepared_rule(rule)
             if thresholds is not None:
                 raise ValueError("thresholds have no effect beside a rule; leave them out")
         else:

@@ -201,7 +201,7 @@ class RunSettings(Checked):
         if self.condition is not None:
             one_of("condition", self.condition, CONDITIONS)
         if not isinstance(self.rule, str | None):
-            prepared_rule(self.rule, None)
+            prepared_rule(self.rule)
         if self.correction is not None:
             table_of("correction", self.correction)
         for name, topic in table_of("topics", self.topics).items():
