@@ -127,6 +127,19 @@ def test_an_unclear_log_abstains_and_says_what_to_record(unclear, spy):
         assert choose_thresholds(unclear, enclose_beta=False).offered
 
 
+def test_more_data_are_considered_at_the_sample_time_of_the_log(unclear, monkeypatch):
+    """As many data as there are leave the draws, here as of a log at 2 Hz, as they are."""
+    seen = []
+    monkeypatch.setattr(thresholds, "LONGER", (1,))
+    monkeypatch.setattr(thresholds, "survey", lambda models, *_: seen.extend(models) or motions)
+    target = unclear.target
+    slow = replace(unclear, target=target._replace(blocks=target.blocks._replace(step=0.5)))
+    motions = survey([SECOND], [(0.0, 0.35)], SCREEN)
+    thresholds._what_would_help(slow, pd.DataFrame(motions), 0.9, "p_switches")
+    expected = [tsc.robot.a**5 for tsc in unclear.models]
+    assert [tsc.robot.a for tsc in seen] == pytest.approx(expected, rel=1e-9)
+
+
 def test_without_room_no_recording_can_help(clear):
     """Theorem 1 leaves none where the operator's performance moves much and the robot's little."""
     human = SECOND.human

@@ -297,9 +297,11 @@ def invariant_bounds(
             f"a phase from some utilization was not shown to end within {most} samples; "
             f"cells= below {coarse} allow longer phases"
         )
-    highest = tsc.robot.steady_state(1.0, tsc.human.p_max)
-    lowest = tsc.robot.p_min
-    unknown = PhaseImage(0.0, 1.0, np.inf, 1.0, np.inf, lowest, highest, -np.inf, np.inf)
+    # P_r keeps to its range and to where the operator at their worst and best would take it.
+    robot, human = tsc.robot, tsc.human
+    ends = [robot.steady_state(1.0, p_h) for p_h in (human.p_min, human.p_max)]
+    of_robot = min(robot.p_min, *ends), max(robot.p_max, *ends)
+    unknown = PhaseImage(0.0, 1.0, np.inf, 1.0, np.inf, *of_robot, -np.inf, np.inf)
     low, high, manual, autonomous, done, settled = nested or (0.0, 1.0, unknown, unknown, -1, True)
     slack = 0.0
     if nested:

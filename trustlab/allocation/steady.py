@@ -374,7 +374,7 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
         exists=True,
         always=going.size == 2 and not endless,
         reason=reason,
-        encloses_beta=bool(going["p_encloses"].all()),
+        encloses_beta=bool(both["p_encloses"].all()),
         mean_r=float(going["mean_r"][0]),
         mean_p_r=float(going["mean_p_r"][0]),
         **ranges,

@@ -365,7 +365,7 @@ def _what_would_help(posterior: Posterior, table: pd.DataFrame, asked: float, ai
     for times in LONGER:
         nearer = thetas.copy()
         nearer[:, :SHARED] -= (1.0 - times**-0.5) * apart
-        motions = pd.DataFrame(survey(tsc_models(physical(nearer, 0.1)), pairs, SCREEN))
+        motions = pd.DataFrame(survey(tsc_models(physical(nearer, blocks.step)), pairs, SCREEN))
         if motions.groupby(PAIR)[aim].mean().max() >= asked:
             return f"Record about {times} times as much: {minutes * times:.0f} minutes."
     return (
