@@ -19,7 +19,7 @@ from trustlab.allocation.steady import (
     limit_cycle,
     survey,
 )
-from trustlab.identification.posterior.density import SHARED, physical
+from trustlab.identification.posterior.density import physical
 from trustlab.identification.posterior.result import Posterior, tsc_models
 from trustlab.identification.result import FitResult
 from trustlab.models.checks import (
@@ -235,8 +235,8 @@ def choose_thresholds(
     -----
     Theorem 1 is sufficient and not necessary. At the δ_Ph that a model itself gives, `step_bounds`,
     its limits are narrower than at 0, or there are none, and for all printed models the pair chosen
-    here lies outside of them; the message says so. To stay within them take
-    the first of `.candidates` that `threshold_limits(tsc, None)` contains.
+    here lies outside of them; the message says so. To stay within them take the first of
+    `.candidates` that `threshold_limits(tsc, None)` contains.
 
     Examples
     --------
@@ -347,10 +347,10 @@ def _followed(
     likely = table[count:able].sort_values(aim, ascending=False, kind="stable")[:FOLLOWED]
     tried = []
     for pair in pd.concat([table[:count], likely])[PAIR].to_numpy():
-        motions = pd.DataFrame(survey(models, [pair], starts=BOTH))
-        shares = motions.groupby("model")[["p_switches", "p_encloses"]].all().mean()
-        tried.append((*pair.tolist(), float(shares[aim]), float(shares["p_encloses"])))
-        if shares[aim] >= asked:
+        motions = survey(models, [pair], starts=BOTH).reshape(-1, len(BOTH))
+        shares = [float(motions[name].all(axis=1).mean()) for name in (aim, "p_encloses")]
+        tried.append((*pair.tolist(), *shares))
+        if shares[0] >= asked:
             break
     return max(tried, key=itemgetter(2))
 
@@ -359,14 +359,12 @@ def _what_would_help(posterior: Posterior, table: pd.DataFrame, asked: float, ai
     """Say how much longer to record, as if draws came nearer to their mean."""
     blocks = posterior.target.blocks
     minutes = blocks.measured.shape[1] * blocks.samples * blocks.step / 60.0
-    thetas = posterior.thetas[:SCREENED]
-    apart = (thetas - thetas.mean(axis=0))[:, :SHARED]
-    pairs = table[PAIR][:NEAREST]
+    thetas, pairs = posterior.thetas[:SCREENED], table[PAIR][:NEAREST]
+    mean = thetas.mean(axis=0)
     for times in LONGER:
-        nearer = thetas.copy()
-        nearer[:, :SHARED] -= (1.0 - times**-0.5) * apart
-        motions = pd.DataFrame(survey(tsc_models(physical(nearer, blocks.step)), pairs, SCREEN))
-        if motions.groupby(PAIR)[aim].mean().max() >= asked:
+        nearer = physical(mean + times**-0.5 * (thetas - mean), blocks.step)
+        able = survey(tsc_models(nearer), pairs, SCREEN)[aim].reshape(-1, len(pairs))
+        if able.mean(axis=0).max() >= asked:
             return f"Record about {times} times as much: {minutes * times:.0f} minutes."
     return (
         f"More than {LONGER[-1]} times these {minutes:.0f} minutes would be needed: record phases "
