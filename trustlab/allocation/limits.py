@@ -202,7 +202,6 @@ def threshold_pair(name: str, pair: tuple[float, float], most: float = 1.0) -> t
         raise ValueError(
             f"{name} must be two numbers, lower and upper, got {shown(pair)}"
         ) from None
-    low = f"the lower {name}"
-    high = f"the upper {name}"
+    low, high = f"the lower {name}", f"the upper {name}"
     lower, upper = in_order(low, lower, high, upper)
     return between(low, lower, -most, most), between(high, upper, -most, most)
