@@ -187,8 +187,10 @@ def decision(rule: Any, where: str, tsc: float, p_r: float) -> int | None:
     """
     here = f"at {where}, with TSC = {tsc:.6g} and P_r = {p_r:.6g}"
     mode = asked(f"rule.step failed {here}", rule.step, tsc=tsc, p_r=p_r)
-    if mode is None or isinstance(mode, bool | np.bool_):
-        return mode
+    if mode is None:
+        return None
+    if isinstance(mode, bool | np.bool_):
+        return int(mode)
     name = f"what rule.step returns (1 manual, 0 autonomous, None to keep the mode) {here}"
     return whole_number(name, mode, least=0, most=1)
 

@@ -375,7 +375,8 @@ def _what_would_help(posterior: Posterior, table: pd.DataFrame, asked: float, ai
 def _room(models: list[TscModel]) -> tuple[ThresholdLimits, str]:
     """Return the limits, medians over the models, and why they leave no room, if they do."""
     ends = limits_as_printed(TscConstants(*np.transpose([tsc.constants() for tsc in models])), 0.0)
-    limits = ThresholdLimits(*(float(np.median(end)) for end in ends), 0.0)
+    lower, upper = (float(np.median(end)) for end in ends)
+    limits = ThresholdLimits(lower, upper, 0.0)
     if limits.feasible:
         return limits, ""
     share = (ends[0] < ends[1]).mean()
