@@ -79,7 +79,7 @@ def test_a_probability_is_that_of_the_motion_itself(clear, name, margin):
     assert choose_thresholds(tsc, margin=margin, points=14).probability == 1.0
 
 
-@parametrize(("name", "value"), [("points", 0), ("margin", 99.0), ("objective", -1.0)])
+@parametrize(("name", "value"), [("points", 0), ("margin", 99.0), ("delta_p_h", -1.0)])
 def test_of_a_posterior_too_arguments_out_of_range_are_refused(clear, name, value):
     with refused(f"{name} must"):
         choose_thresholds(clear, **{name: value})

@@ -63,6 +63,9 @@ def test_a_fit_is_taken_and_warned_of_where_it_is_unsure(make_session, switching
         again = choose_thresholds(unsure, points=12)
     assert (again.lower, again.upper) == (choice.lower, choice.upper)
     assert again.message.endswith(choice.message)
+    # Advice about a model that is not to be used would mislead: the fit is named first.
+    with warned(r"beta is weakly.*sample_posterior.*leaves no room"):
+        choose_thresholds(unsure, delta_p_h=0.01, points=4)
     with refused(r"TscModel, got RobotModel; fit one with"):
         choose_thresholds(tl.fit_robot(session))
 
@@ -115,6 +118,12 @@ def test_a_pair_does_what_is_said_from_rest_as_well():
     assert choice.probability == float(encloses_beta(run, model))
 
 
+def test_no_room_between_the_limits_is_remark_4():
+    says = r"TSC_ub = .* at δ_Ph = 0\.01, .*\(Remark 4\).*a smaller δ_Ph than 0\.01"
+    with warned(says):
+        choose_thresholds(PILOT, delta_p_h=0.01)
+
+
 def test_a_confidence_is_for_posteriors():
     with refused(r"confidence = 0\.9 would do nothing"):
         choose_thresholds(PILOT, confidence=0.9)
@@ -144,13 +153,15 @@ def test_thresholds_are_read_off_the_switches(after, first):
 def test_choices_say_which_limits_they_keep():
     """Those of an operator whose utilization moves slowly are hardly narrower at their own δ_Ph."""
     slow = made((0.9995, 0.5, 0.4, 0.45), (0.99, 0.2, 0.4))
-    for model, covered in ((PILOT, False), (SECOND, False), (slow, True)):
+    for model, covered in ((PILOT, False), (SECOND, False), (OPERATORS["4"], False), (slow, True)):
         own = tl.threshold_limits(model, None)
-        choice = choose_thresholds(model, points=6, enclose_beta=False)
-        assert choice.limits == tl.threshold_limits(model)
-        assert own.contains(choice.lower, choice.upper) == covered
-        text = f"does not cover the pair at the model's own δ_Ph: {own.message}"
-        assert (text in choice.message) != covered
+        for delta in (0.0, own.delta_p_h):
+            choice = choose_thresholds(model, delta, points=6, enclose_beta=False)
+            assert choice.limits == tl.threshold_limits(model, delta)
+            covers = own.contains(choice.lower, choice.upper)
+            assert covers == (covered or delta > 0.0)
+            text = f"does not cover the pair at the model's own δ_Ph: {own.message}"
+            assert (text in choice.message) != covers
 
 
 def test_switches_at_exactly_one_tsc_each_are_the_clearest_case():

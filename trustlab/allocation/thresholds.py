@@ -25,6 +25,7 @@ from trustlab.identification.result import FitResult
 from trustlab.models.checks import (
     between,
     flag,
+    not_negative,
     of_class,
     one_of,
     open_unit,
@@ -181,6 +182,7 @@ class ThresholdChoice(Result):
 
 def choose_thresholds(
     tsc: TscModel | FitResult | Posterior,
+    delta_p_h: float = 0.0,
     margin: float | None = None,
     points: int | None = None,
     objective: str | float = "peak",
@@ -190,16 +192,18 @@ def choose_thresholds(
     """
     Choose thresholds by Algorithm 1: utilization encloses β, performance is near its best.
 
-    All pairs of a grid within the limits of Theorem 1 at δ_Ph = 0, as where TSC settles, less a
-    margin, are followed to their steady motion. Among those that keep switching around β the one
-    with the greatest objective is taken; of a posterior, among those that do with a probability of
-    `confidence`, by expectation.
+    All pairs of a grid within the limits, less a margin, are followed to their steady motion. Among
+    those that keep switching around β the one with the greatest objective is taken; of a posterior,
+    among those that do with a probability of `confidence`, by expectation.
 
     Parameters
     ----------
     tsc : TscModel, FitResult or Posterior
         The model; a fit of one by `fit_tsc`; or a posterior (`sample_posterior`), which alone gives
         a probability.
+    delta_p_h : float
+        δ_Ph of the limits of Theorem 1 that the search keeps to. 0 takes them as TSC settles;
+        whether a pair keeps switching is then seen from its motion.
     margin : float, optional
         Distance to keep from either limit, as a share of TSC_ub − TSC_lb, from 0.001 to 0.49; 0.1,
         and 0.03 for a posterior, whose probability says what is safe, when not given.
@@ -235,8 +239,7 @@ def choose_thresholds(
     -----
     Theorem 1 is sufficient and not necessary. At the δ_Ph that a model itself gives, `step_bounds`,
     its limits are narrower than at 0, or there are none, and for all printed models the pair chosen
-    here lies outside of them; the message says so. To stay within them take the first of
-    `.candidates` that `threshold_limits(tsc, None)` contains.
+    here lies outside of them; the message says so. To stay within them give that δ_Ph.
 
     Examples
     --------
@@ -264,7 +267,7 @@ def choose_thresholds(
     fit = tsc if isinstance(tsc, FitResult) else None
     source: Any = fit.model if fit else tsc
     models = source.models if of_posterior else [of_class("tsc", source, TscModel)]
-    limits, reason = _room(models)
+    limits, reason = _room(models, not_negative("delta_p_h", delta_p_h))
     lower = upper = probability = np.nan
     message, around, table = "", 0.0, pd.DataFrame(columns=PAIR + COLUMNS, dtype=float)
     if not reason:
@@ -372,18 +375,21 @@ def _what_would_help(posterior: Posterior, table: pd.DataFrame, asked: float, ai
     )
 
 
-def _room(models: list[TscModel]) -> tuple[ThresholdLimits, str]:
+def _room(models: list[TscModel], delta: float) -> tuple[ThresholdLimits, str]:
     """Return the limits, medians over the models, and why they leave no room, if they do."""
-    ends = limits_as_printed(TscConstants(*np.transpose([tsc.constants() for tsc in models])), 0.0)
+    c = TscConstants(*np.transpose([tsc.constants() for tsc in models]))
+    ends = limits_as_printed(c, delta)
     lower, upper = (float(np.median(end)) for end in ends)
-    limits = ThresholdLimits(lower, upper, 0.0)
+    limits = ThresholdLimits(lower, upper, delta)
     if limits.feasible:
         return limits, ""
     share = (ends[0] < ends[1]).mean()
     known = "no recording of this robot and operator can help"
     if share > 0.05:
         known = f"there is room in {share:.0%} of the draws, so that more data may show some"
+    least, most = map(np.median, limits_as_printed(c, 0.0))
+    smaller = f", or take a smaller δ_Ph than {delta:.3g}" if least < most else ""
     return limits, (
         f"Theorem 1 leaves no room: {limits.message}; {known}. Remedy: widen the range of robot "
-        "performance (p_max − p_min)."
+        f"performance (p_max − p_min){smaller}."
     )
