@@ -78,10 +78,9 @@ def random_case(rng, quick=True):
 CASES = st.integers(0, 2**32 - 1).map(lambda seed: random_case(np.random.default_rng(seed), False))
 
 
-def settled(model, lower, upper, steps=60_000, mode=1, **start):
+def settled(model, lower, upper, steps=60_000, **start):
     """The second half of a run, transients gone."""
-    rule = tl.ThresholdRule(lower, upper, mode)
-    return tl.simulate_allocation(model, rule=rule, steps=steps, **start).iloc[steps // 2 :]
+    return tl.simulate_allocation(model, lower, upper, steps, **start).iloc[steps // 2 :]
 
 
 def encloses_beta(run, model):

@@ -24,8 +24,8 @@ def cost(blending, alpha, now):
     return np.polynomial.polynomial.polyval(2.0 * alpha - 1.0, series)
 
 
-def printed_cost(share, now):
-    """(A.3) along the printed equations, of a share that is held for 0.2 s."""
+def printed_cost(horizon, share, now):
+    """(A.3) along the printed equations, of a share that is held."""
     p, d = np.array([(0.5, 0.5, 1.5), (0.02, 0.02, 0.0)])
 
     def change(t, x):
@@ -38,15 +38,16 @@ def printed_cost(share, now):
         return np.r_[np.zeros(3), p * v + d * a, v, a, jerk, rate]
 
     start = np.r_[np.ravel(now), 0.0]
-    return solve_ivp(change, (0.0, 0.2), start, rtol=1e-11, atol=1e-13, max_step=0.01).y[-1, -1]
+    return solve_ivp(change, (0.0, horizon), start, rtol=1e-11, atol=1e-13, max_step=0.01).y[-1, -1]
 
 
-def test_cost_is_that_of_the_printed_equations():
-    blending = OptimalBlending()
+@pytest.mark.parametrize("horizon", [0.1, 0.2])
+def test_cost_is_that_of_the_printed_equations(horizon):
+    blending = OptimalBlending(horizon=horizon)
     for seed in range(4):
         now = situation(seed)
         for alpha in (0.0, 0.2, 0.63, 1.0):
-            expected = printed_cost(alpha, now)
+            expected = printed_cost(horizon, alpha, now)
             assert cost(blending, alpha, now) == pytest.approx(expected, rel=1e-8)
 
 

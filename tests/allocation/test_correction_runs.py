@@ -75,6 +75,8 @@ def test_what_is_refused_changes_nothing():
     loop = online()
     with refused("mode"):
         loop.update(0.3, 0.38, 2)
+    with refused("mode"):
+        online(mode=2)
     assert (loop.lower, loop.upper, loop.r, len(loop.table())) == (*START, 0.0, 0)
 
 

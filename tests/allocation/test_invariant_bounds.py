@@ -17,8 +17,7 @@ def leaves(bounds, rng):
     steps = min(int((bounds.cycles + 8) * longest) + 6000, 60_000)
     robot = bounds.model.robot
     start = rng.random(), rng.uniform(robot.p_min, robot.p_max), int(rng.integers(2))
-    rule = tl.ThresholdRule(bounds.lower, bounds.upper, start[2])
-    run = simulate_allocation(bounds.model, None, None, steps, *start[:2], rule)
+    run = simulate_allocation(bounds.model, bounds.lower, bounds.upper, steps, *start)
     mode = run["mode"].to_numpy()
     returns = np.flatnonzero(np.diff(mode) > 0) + 1
     if returns.size <= bounds.cycles:

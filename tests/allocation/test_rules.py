@@ -38,7 +38,7 @@ class Says:
 
 def test_simulation_is_the_rule_with_the_model():
     """Oracle: (2.1)-(2.8) written out."""
-    run = simulate_allocation(PILOT, None, None, 9000, 0.2, 0.3, ThresholdRule(0.02, 0.45, 0))
+    run = simulate_allocation(PILOT, 0.02, 0.45, 9000, r0=0.2, p_r0=0.3, mode=0)
     expected = list(itertools.islice(written_out(PILOT, (0.02, 0.45), 0.2, 0.3, 0), 9000))
     assert list(run) == ["r", "p_r", "p_h", "tsc", "mode"]
     assert_allclose(run, expected, atol=1e-12)
@@ -52,17 +52,19 @@ def test_performance_rule_is_algorithm_2_to_the_bit():
     assert says == [0, None, None, 1]
 
 
-def test_a_rule_in_python_gives_the_same_bits():
+@parametrize("mode", [None, 0, 1])
+def test_a_rule_in_python_gives_the_same_bits(mode):
     """It is called sample by sample; the built-in rules run compiled."""
     for seed in range(12):
         model, *pair = random_case(np.random.default_rng(seed))
         middle = 0.5 * (model.robot.p_min + model.robot.p_max)
-        options = {"steps": 3001 + seed, "r0": 0.3, "p_r0": middle}
+        options = {"mode": mode, "steps": 3001 + seed, "r0": 0.3, "p_r0": middle}
         for first in (0, 1):
             rule, built_in = (kind(*pair, mode=first) for kind in (Own, ThresholdRule))
             run = simulate_allocation(model, rule=built_in, **options)
             assert run.equals(simulate_allocation(model, rule=rule, **options))
             assert rule.mode == built_in.mode == first, "a run works on a copy of the rule"
+        options["mode"] = 1 if mode is None else mode
         assert run.equals(simulate_allocation(model, *pair, **options))
         numbers = model.robot.p_min, middle, 0.05
         run = simulate_allocation(model, rule=PerformanceRule(*numbers), **options)
@@ -73,7 +75,7 @@ def test_a_rule_in_python_gives_the_same_bits():
 def test_a_rule_that_switches_at_every_sample():
     modes = np.arange(1000) % 2
     for said in (modes, modes == 1):  # True and False are 1 and 0
-        run = simulate_allocation(SECOND, rule=Says(*said.tolist()), steps=1000)
+        run = simulate_allocation(SECOND, rule=Says(*said.tolist()), steps=1000, mode=1)
         assert_array_equal(run["mode"], modes)
     assert_allclose(run["r"], SECOND.simulate(modes)["r"], atol=1e-15)
     keeps = simulate_allocation(SECOND, rule=Says(None), steps=1)

@@ -3,13 +3,12 @@
 import numpy as np
 import scipy
 
-from trustlab.models.checks import between, finite_array, finite_numbers, in_order
+from trustlab.models.checks import between, finite_array, finite_numbers, in_order, positive
 from trustlab.models.compiled import njit
 from trustlab.models.uav import TransferFunction, three_axes
 
-# Length of the prediction [s], and degree of the interpolation of the cost in α, whose error is
-# below rounding (a test checks it).
-HORIZON = 0.2
+# Degree of the interpolation of the cost in α; its error over 0.2 s is below rounding (a test
+# checks it).
 DEGREE = 10
 
 # The vehicle as the state equations of Appendix A have it; (A.1) prints 1.475 and 0.4952 for the
@@ -71,7 +70,7 @@ class OptimalBlending:
     """
     The allocation of Appendix A: the share α that minimises (A.3) over a short horizon.
 
-    The cost is ∫ 200‖e‖² + (1 − α)²‖u_a − u_h‖² dτ over 0.2 s.
+    The cost is ∫ 200‖e‖² + (1 − α)²‖u_a − u_h‖² dτ.
 
     Every axis has the states u_h (held), u_a (following its PD law), e and its derivatives; u = α
     u_h + (1 − α) u_a drives the vehicle. For α held over the horizon the cost is, up to rounding, a
@@ -87,6 +86,8 @@ class OptimalBlending:
         has them.
     alpha_min, alpha_max : float
         Bounds of α, 0 ≤ alpha_min < alpha_max ≤ 1.
+    horizon : float
+        Length of the prediction [s], in (0, 2].
 
     Raises
     ------
@@ -114,6 +115,7 @@ class OptimalBlending:
         gains: tuple[tuple[float, float], ...] = ((0.5, 0.02), (0.5, 0.02), (1.5, 0.0)),
         alpha_min: float = 0.2,
         alpha_max: float = 1.0,
+        horizon: float = 0.2,
     ):
         self.vehicle = three_axes(vehicle)
         self.gains = finite_numbers("gains", gains)
@@ -122,6 +124,7 @@ class OptimalBlending:
         between("alpha_min", alpha_min, 0.0, 1.0)
         between("alpha_max", alpha_max, 0.0, 1.0)
         self.alpha_min, self.alpha_max = in_order("alpha_min", alpha_min, "alpha_max", alpha_max)
+        self.horizon = between("horizon", positive("horizon", horizon), 0.0, 2.0)
         count = DEGREE + 1
         nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
         costs = [[self._cost(axis, 0.5 * (x + 1.0)) for axis in range(3)] for x in nodes]
@@ -147,7 +150,7 @@ class OptimalBlending:
         q[2, 2] = 200.0
         q[:2, :2] = (1.0 - alpha) ** 2 * np.array([[1.0, -1.0], [-1.0, 1.0]])
         block = np.block([[-a.T, q], [np.zeros((5, 5)), a]])
-        whole = scipy.linalg.expm(block * HORIZON)  # Van Loan
+        whole = scipy.linalg.expm(block * self.horizon)  # Van Loan
         return whole[5:, 5:].T @ whole[:5, 5:]
 
     def step(self, u_h, u_a, e, rate, acceleration) -> float:

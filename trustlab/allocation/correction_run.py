@@ -94,6 +94,8 @@ class OnlineCorrection:
         Target, model and engine.
     start : (float, float)
         The operator's initial thresholds TSC_l and TSC_u.
+    mode : int
+        Initial mode: 1 manual, 0 autonomous.
     r : float
         Initial utilization, in [0, 1]; 0 is a rested operator.
     outside : {"hold", "nearest"}
@@ -120,12 +122,13 @@ class OnlineCorrection:
         self,
         corrector: ThresholdCorrector,
         start: tuple[float, float],
+        mode: int = 1,
         r: float = 0.0,
         outside: str = "hold",
     ):
         self.corrector = of_class("corrector", corrector, ThresholdCorrector)
         self.lower, self.upper = threshold_pair("start", start)
-        self.mode = 1
+        self.mode = whole_number("mode", mode, least=0, most=1)
         self.r = between("r", r, 0.0, 1.0)
         self._nearest = one_of("outside", outside, ("hold", "nearest")) == "nearest"
         self._c = corrector.tsc.constants()
@@ -141,7 +144,7 @@ class OnlineCorrection:
             Measured robot and human performance; NaN or None where missing: the thresholds are then
             held and nothing is suggested.
         mode : int, optional
-            Current mode: 1 manual, 0 autonomous; unchanged when not given or NaN, manual at first.
+            Current mode: 1 manual, 0 autonomous; unchanged when not given or NaN.
 
         Returns
         -------

@@ -165,11 +165,12 @@ class PerformanceRule:
         return None if mode < 0 else mode
 
 
-def prepared_rule(rule: object) -> tuple[Any, int]:
+def prepared_rule(rule: object, mode: int | None = None) -> tuple[Any, int]:
     """
-    Return a rule and the mode before the first sample: `rule.mode`, or else 1.
+    Return a rule and the mode before the first sample: the one given, else `rule.mode`, else 1.
 
-    The rule comes back as a copy, so that a run leaves it as it is.
+    The rule comes back as a copy, so that a run leaves it as it is. A rule that has a mode is set
+    to the one given.
     """
     if isinstance(rule, type) or not callable(getattr(rule, "step", None)):
         raise ValueError(
@@ -178,7 +179,11 @@ def prepared_rule(rule: object) -> tuple[Any, int]:
             f"{shown(rule)}"
         )
     rule = asked("rule must be one that copy.deepcopy can copy", deepcopy, rule)
-    return rule, whole_number("rule.mode", getattr(rule, "mode", 1), least=0, most=1)
+    own = whole_number("rule.mode", getattr(rule, "mode", 1), least=0, most=1)
+    mode = own if mode is None else whole_number("mode", mode, least=0, most=1)
+    if mode != own and hasattr(rule, "mode"):
+        rule.mode = mode
+    return rule, mode
 
 
 def decision(rule: Any, where: str, tsc: float, p_r: float) -> int | None:
@@ -255,6 +260,7 @@ def simulate_allocation(
     steps: int | None = None,
     r0: float = 0.0,
     p_r0: float | None = None,
+    mode: int | None = None,
     rule: Any = None,
 ) -> pd.DataFrame:
     """
@@ -272,12 +278,14 @@ def simulate_allocation(
         Utilization at the first sample, in [0, 1].
     p_r0 : float, optional
         Robot performance at the first sample; the robot's P_min when not given.
+    mode : int, optional
+        Mode before the first sample: 1 manual, 0 autonomous. That of the rule, `rule.mode`, or else
+        1 when not given.
     rule : object, optional
         Who drives: an object with a method that is called by keyword at each sample, step(tsc=…,
         p_r=…), and returns 1 (manual), 0 (autonomous) or None (keep the mode). True and False count
-        as 1 and 0. Before the first sample the mode is `rule.mode`, or 1 where there is none.
-        `ThresholdRule` and `PerformanceRule` run compiled. A run works on a copy of the rule, so
-        that what the rule remembers does not carry over to the next run.
+        as 1 and 0. `ThresholdRule` and `PerformanceRule` run compiled. A run works on a copy of
+        the rule, so that what the rule remembers does not carry over to the next run.
 
     Returns
     -------
@@ -308,7 +316,7 @@ def simulate_allocation(
         )
     if rule is None:
         rule = ThresholdRule(lower, upper)
-    rule, mode = prepared_rule(rule)
+    rule, mode = prepared_rule(rule, mode)
     steps = whole_number("steps", steps, most=MOST_STEPS)
     r0 = between("r0", r0, 0.0, 1.0)
     p_r0 = tsc.robot.p_min if p_r0 is None else finite_number("p_r0", p_r0)
