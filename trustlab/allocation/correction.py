@@ -343,7 +343,7 @@ class ThresholdCorrector:
         P_r, TSC_u, TSC_l] and u = [c_u, c_l] of step k as CasADi symbols; in the unit of (2.43),
         TSC². The solver takes r and P_r from the clipped plan, so that they are weights of what the
         thresholds and their corrections cost; what they cost themselves decides only between the
-        solver's plan and the clipped one.
+        solver's plan and the clipped one, though a plan with other modes may cost less.
     limit : float, optional
         With CasADi: seconds that a step may compute, 1 when not given; if it takes longer, the
         thresholds are held. What is followed outside of the solver is not interrupted: with an
