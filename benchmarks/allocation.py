@@ -32,8 +32,7 @@ def pilot() -> tl.TscModel:
 
 def corrector(engine: str | None = None, horizon: int = HORIZON) -> tl.ThresholdCorrector:
     """Return a corrector whose target lies outside of the limits, as the printed one does."""
-    options = {} if engine is None else {"switch_width": 0.0}
-    return tl.ThresholdCorrector(pilot(), TARGET, C_B, horizon, engine=engine, **options)
+    return tl.ThresholdCorrector(pilot(), TARGET, C_B, horizon, engine=engine)
 
 
 def closed_loop(name: str) -> tuple[list[tuple], np.ndarray]:

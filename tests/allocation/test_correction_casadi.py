@@ -28,9 +28,8 @@ def clipped(horizon, state):
     return corrector(c_b=C_B, horizon=horizon).step(*state)
 
 
-@parametrize("width", [0.0, 1e-3])
-def test_without_a_cost_of_ones_own_it_comes_to_the_clipped_plan(width):
-    ours, rng = engine(switch_width=width), np.random.default_rng(0)
+def test_without_a_cost_of_ones_own_it_comes_to_the_clipped_plan():
+    ours, rng = engine(), np.random.default_rng(0)
     drawn = rng.uniform((0.3, 0.26), (0.9, 0.38), (12, 2)).tolist()
     for r, p_r in ((0.0, 0.24), (1.0, 0.24), *drawn):
         for state in ((r, p_r, *FAR[2:]), (r, p_r, *NEAR[2:])):
@@ -47,7 +46,7 @@ def test_the_solver_itself_comes_to_the_clipped_plan():
     """
     for state in (FAR, NEAR):
         path = clipped(30, state).path
-        corrections, reason = engine().program._solved(state[4], path)
+        corrections, reason = engine().program._solved(path)
         assert reason == ""
         assert_allclose(corrections, path[5:, :-1], atol=0.03 * C_B)
 
@@ -74,7 +73,7 @@ def test_a_cost_may_use_the_step_and_functions_of_matrices():
 
 
 def test_a_cost_of_utilization_is_judged_under_the_hard_switch():
-    """The smoothed switch only suggests modes; no plan costs more than clipping."""
+    """No plan costs more than clipping."""
     ours = engine(60, 1e-3, extra_cost=lambda x, u, k: 0.1 * x[0] ** 2)
 
     def cost(path):
@@ -152,7 +151,7 @@ def test_a_solver_that_returns_nonsense_is_not_believed(monkeypatch):
 @parametrize(
     ("cost", "words"),
     [
-        (lambda x, u, k: casadi.MX.sym("own"), "their arguments alone"),
+        (lambda x, u, k: casadi.MX.sym("own"), "its arguments alone"),
         (lambda x, u, k: u, "one number"),
     ],
 )
@@ -161,11 +160,10 @@ def test_costs_that_cannot_be_used_are_refused(cost, words):
         engine(4, extra_cost=cost)
 
 
-@parametrize("width", [0.0, 1e-3])
-def test_no_plan_lets_the_thresholds_cross(width):
+def test_no_plan_lets_the_thresholds_cross():
     """The target of the lower one lies above the upper one, which a cost holds back."""
     start, cost = (0.0, 0.1), {"extra_cost": lambda x, u, k: 1e4 * u[0] ** 2}
-    ours = engine(10, 0.02, model=SECOND, target=(0.2, 0.35), switch_width=width, limit=9.0, **cost)
+    ours = engine(10, 0.02, model=SECOND, target=(0.2, 0.35), limit=9.0, **cost)
     online = tl.OnlineCorrection(ours, start)
     for _ in range(30):
         step = online.update(0.3, 0.39)

@@ -18,7 +18,7 @@ from tests.cases import refused
 from trustlab.allocation import incentive_box
 from trustlab.allocation.correction import OPTIMAL
 from trustlab.allocation.correction_run import MISSING, NEAREST, OUTSIDE, _deciding
-from trustlab.allocation.simulation import STATE
+from trustlab.allocation.rules import STATE
 
 START, TARGET = (0.0, 0.35), (0.05, 0.4)
 CORRECTOR = tl.ThresholdCorrector(SECOND, TARGET, c_b=1e-4, horizon=50)

@@ -7,7 +7,7 @@ import pytest
 from numpy.random import default_rng
 
 import trustlab as tl
-from tests.allocation.cases import SECOND, drawn_model, phases, random_case
+from tests.allocation.cases import SECOND, drawn_model, made, phases, random_case
 from trustlab.allocation import invariant_bounds, simulate_allocation, threshold_limits
 
 
@@ -111,3 +111,11 @@ def test_bounds_that_have_not_settled_say_so_and_more_cycles_tighten_them():
     few, many = (invariant_bounds(SECOND, 0.0, 0.35, cycles=n) for n in (3, 6))
     assert "were still shrinking" in few.reason
     assert many.r_high - many.r_low < few.r_high - few.r_low
+
+
+def test_an_operator_who_does_harm_takes_performance_below_its_least():
+    """Where nothing is guaranteed, too: P_h below 0 lowers P_r."""
+    model = made((0.98, 0.6, -0.1, 0.5), (0.95, 0.2, 0.4))
+    bounds = invariant_bounds(model, 0.4, 0.9)
+    assert not bounds.guaranteed
+    assert bounds.p_r_low <= simulate_allocation(model, 0.4, 0.9, 400)["p_r"].min() < 0.2

@@ -116,6 +116,16 @@ def test_coexisting_motions_are_not_one():
     assert cycle.mean_r == approx(best["r"].mean(), abs=1e-3)
 
 
+def test_beta_is_enclosed_from_both_starts_or_not():
+    """From β utilization encloses it for ever; from rest the mode stays autonomous."""
+    operator = 0.9131666959659053, 0.40012977640063824, 0.3068925829445642, 0.42270031179191847
+    model = made(operator, (0.9622789725948355, 0.2822559568792657, 0.5377885121888203))
+    cycle = limit_cycle(model, -0.44122657620529815, 0.4952845370781124)
+    assert cycle.r_low < model.human.beta < cycle.r_high
+    assert not cycle.always
+    assert not cycle.encloses_beta
+
+
 def test_a_start_beyond_the_upper_threshold_is_autonomous_at_once():
     """Neither start switches, though others do."""
     model = made((0.8, 0.98, 0.3, 0.6), (0.99, 0.8, 1.2))
@@ -133,7 +143,7 @@ def test_a_survey_has_the_motions_of_limit_cycle_and_a_quick_one_comes_near():
     models = [OPERATORS[name] for name in ("2", "3", "pilot")]
     exact, screened = survey(models, pairs), survey(models, pairs, SCREEN)
     cycles = [limit_cycle(tsc, *pair) for tsc, pair in itertools.product(models, pairs)]
-    assert exact[["lower", "upper"]].to_numpy().tolist() == pairs * 3
+    assert np.column_stack([exact["lower"], exact["upper"]]).tolist() == pairs * 3
     for rows, near in ((exact, 1e-3), (screened, 0.01)):
         assert rows["p_switches"].tolist() == [cycle.exists for cycle in cycles]
         for name in ("r_low", "mean_r", "mean_p_r"):

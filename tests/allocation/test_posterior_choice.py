@@ -8,6 +8,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.random import default_rng
 from pandas.testing import assert_frame_equal
@@ -45,7 +46,7 @@ def spy(monkeypatch):
         if starts:
             seen.tried.append(tuple(pairs[0]))
             if len(seen.tried) <= seen.fails:
-                motions.loc[motions["model"] % 12 == 0, "p_encloses"] = False
+                motions["p_encloses"][motions["model"] % 12 == 0] = False
         return motions
 
     monkeypatch.setattr(thresholds, "survey", survey)
@@ -90,7 +91,8 @@ def test_a_pair_is_judged_by_its_motion_sample_by_sample():
     screened = survey([tsc], [pair], SCREEN)
     assert screened["p_encloses"].all()
     assert not encloses_beta(settled(tsc, *pair, r0=0.6), tsc)
-    assert thresholds._followed([tsc] * 3, screened, 0.95, "p_encloses") == (*pair, 0.0, 0.0)
+    table = pd.DataFrame(screened)
+    assert thresholds._followed([tsc] * 3, table, 0.95, "p_encloses") == (*pair, 0.0, 0.0)
 
 
 def test_how_far_a_motion_keeps_from_beta():
@@ -123,6 +125,19 @@ def test_an_unclear_log_abstains_and_says_what_to_record(unclear, spy):
     assert choose_thresholds(unclear, confidence=0.01).offered
     with warned("does not enclose"):
         assert choose_thresholds(unclear, enclose_beta=False).offered
+
+
+def test_more_data_are_considered_at_the_sample_time_of_the_log(unclear, monkeypatch):
+    """As many data as there are leave the draws, here as of a log at 2 Hz, as they are."""
+    seen = []
+    monkeypatch.setattr(thresholds, "LONGER", (1,))
+    monkeypatch.setattr(thresholds, "survey", lambda models, *_: seen.extend(models) or motions)
+    target = unclear.target
+    slow = replace(unclear, target=target._replace(blocks=target.blocks._replace(step=0.5)))
+    motions = survey([SECOND], [(0.0, 0.35)], SCREEN)
+    thresholds._what_would_help(slow, pd.DataFrame(motions), 0.9, "p_switches")
+    expected = [tsc.robot.a**5 for tsc in unclear.models]
+    assert [tsc.robot.a for tsc in seen] == pytest.approx(expected, rel=1e-9)
 
 
 def test_without_room_no_recording_can_help(clear):

@@ -119,9 +119,12 @@ def test_a_pair_does_what_is_said_from_rest_as_well():
 
 
 def test_no_room_between_the_limits_is_remark_4():
-    says = r"TSC_ub = .* does not exceed TSC_lb .*\(Remark 4\).*a smaller δ_Ph than 0\.01"
+    says = r"TSC_ub = .* at δ_Ph = 0\.01, .*\(Remark 4\).*a smaller δ_Ph than 0\.01"
     with warned(says):
         choose_thresholds(PILOT, delta_p_h=0.01)
+
+
+def test_a_confidence_is_for_posteriors():
     with refused(r"confidence = 0\.9 would do nothing"):
         choose_thresholds(PILOT, confidence=0.9)
 
@@ -148,28 +151,24 @@ def test_thresholds_are_read_off_the_switches(after, first):
 
 @pytest.mark.filterwarnings("ignore:.*does not enclose β")
 def test_choices_say_which_limits_they_keep():
-    for model in (PILOT, SECOND, OPERATORS["4"]):
+    """Those of an operator whose utilization moves slowly are hardly narrower at their own δ_Ph."""
+    slow = made((0.9995, 0.5, 0.4, 0.45), (0.99, 0.2, 0.4))
+    for model, covered in ((PILOT, False), (SECOND, False), (OPERATORS["4"], False), (slow, True)):
         own = tl.threshold_limits(model, None)
         for delta in (0.0, own.delta_p_h):
             choice = choose_thresholds(model, delta, points=6, enclose_beta=False)
             assert choice.limits == tl.threshold_limits(model, delta)
             covers = own.contains(choice.lower, choice.upper)
-            assert covers == (delta > 0.0)
+            assert covers == (covered or delta > 0.0)
             text = f"does not cover the pair at the model's own δ_Ph: {own.message}"
             assert (text in choice.message) != covers
 
 
-def exactly(mean, sd, n):
-    """A sample of this size with exactly this mean and SD."""
-    values = np.sin(np.arange(1.0, n + 1.0))
-    return mean + sd * (values - values.mean()) / values.std(ddof=1)
-
-
 def test_switches_at_exactly_one_tsc_each_are_the_clearest_case():
     """Not infinitely far apart, and not told apart, where both are the same."""
-    levels, rng = {"lower": np.full(5, 0.1), "upper": np.full(6, 0.5)}, default_rng(0)
-    assert _apart(levels, rng) == (np.inf, 0.0)
-    separation, p = _apart(dict.fromkeys(levels, np.full(4, 0.25)), rng)
+    rng = default_rng(0)
+    assert _apart(np.array([(5, 0.1, 0.0), (6, 0.5, 0.0)]), rng) == (np.inf, 0.0)
+    separation, p = _apart(np.array([(4, 0.25, 0.0)] * 2), rng)
     assert not separation > 1.0
     assert p == 1.0
 
@@ -179,8 +178,8 @@ def test_samples_like_those_of_table_2_3_are_told_apart_or_not(n, told):
     """Mean ± SD overlap for participant 3 alone, 0.414/0.42: not told apart by any n switches."""
     rng, sides = default_rng(0), ("TSC_l", "TSC_u")
     for name, known in published_table("2.3").astype(float).items():
-        groups = {side: exactly(known[side, "mean"], known[side, "sd"], n) for side in sides}
-        separation, p = _apart(groups, rng)
+        groups = [(n, known[side, "mean"], known[side, "sd"]) for side in sides]
+        separation, p = _apart(np.array(groups), rng)
         assert (separation < 1.0) == (name == "3")
         assert (p < 0.01) == (name in told)
 
@@ -191,7 +190,8 @@ def test_the_test_keeps_its_level_with_few_switches(sizes):
     rng, rejected = default_rng(1), 0
     for _ in range(1500):
         low, high = rng.normal(0.0, 0.1, sizes[0]), rng.normal(0.3, 0.2, sizes[1])
-        rejected += _apart({"lower": low, "upper": high}, rng)[1] < 0.05
+        groups = [(each.size, each.mean(), each.std(ddof=1)) for each in (low, high)]
+        rejected += _apart(np.array(groups), rng)[1] < 0.05
     assert 0.01 < rejected / 1500 < 0.065
 
 

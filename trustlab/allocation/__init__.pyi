@@ -36,8 +36,11 @@ from .optimum import (
     OptimalAllocation as OptimalAllocation,
     optimal_allocation as optimal_allocation,
 )
-from .rules import PerformanceRule as PerformanceRule, ThresholdRule as ThresholdRule
-from .simulation import simulate_allocation as simulate_allocation
+from .rules import (
+    PerformanceRule as PerformanceRule,
+    ThresholdRule as ThresholdRule,
+    simulate_allocation as simulate_allocation,
+)
 from .steady import LimitCycle as LimitCycle, limit_cycle as limit_cycle
 from .thresholds import (
     ThresholdChoice as ThresholdChoice,

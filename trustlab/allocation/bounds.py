@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trustlab.allocation.limits import check_thresholds, step_bounds
-from trustlab.allocation.simulation import simulate_allocation
+from trustlab.allocation.rules import simulate_allocation
 from trustlab.allocation.steady import SteadyRanges, limit_cycle, longest_phase
 from trustlab.models.checks import between
 from trustlab.models.display import axes_or_new

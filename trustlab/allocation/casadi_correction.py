@@ -1,12 +1,10 @@
 """
-The correction (2.40)-(2.44) as one nonlinear program in CasADi, for costs of one's own.
+The correction (2.40)-(2.44) as a nonlinear program in CasADi, for costs of one's own.
 
-The hard switch (2.8) makes the problem piecewise smooth. The program smooths it: the mode is a
-state m in [0, 1], the memory of (2.8), with m(k) = (1 − σ((TSC − TSC_u)/w)) (d + (1 − d) m(k − 1)),
-d = σ((TSC_l − TSC)/w), σ(y) = 1/(1 + exp(−y)) and the switch width w. No plan is judged by it: what
-the solver returns is run under the hard switch, as is the clipped plan, and the cheaper is the
-plan. It is a local optimum at best. Where the solver fails or takes too long, the
-thresholds are held.
+The hard switch (2.8) makes the problem piecewise smooth. The program keeps the modes of the clipped
+plan, and with them r, P_r and the boxes (2.42), so that only the thresholds are unknown. What the
+solver returns is run under the hard switch, as is the clipped plan, and the cheaper is the plan. It
+is a local optimum at best. Where the solver fails or takes too long, the thresholds are held.
 """
 
 from collections.abc import Callable
@@ -14,16 +12,13 @@ from operator import itemgetter
 from time import perf_counter
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from trustlab.allocation.correction import C_L, C_U, MODE, P_R, L, R, U
-from trustlab.models.checks import not_negative, positive
-from trustlab.models.tsc import next_performance, next_utilization, tsc_at
+from trustlab.allocation.correction import C_L, C_U, P_R, L, R, U
+from trustlab.models.checks import positive
 
-# How near to rest and full load (2.6) is differentiated, and in c_b the narrowest box, how far
-# thresholds may leave their intervals, and how far apart they must stay.
-STEEP = 1e-9
-NARROW = 1e-9
+# How far, in c_b, thresholds may leave their intervals, and how far apart they must stay.
 SLACK = 1e-6
 
 # The solver begins at the clipped plan, so that it needs neither a barrier that leads it away from
@@ -49,7 +44,7 @@ SOLVED = (
 
 class CorrectionProgram:
     """
-    Multiple shooting over the horizon, solved by IPOPT, which keeps to a limit of time.
+    The thresholds over the horizon as unknowns of IPOPT, which keeps to a limit of time.
 
     Parameters
     ----------
@@ -57,48 +52,28 @@ class CorrectionProgram:
         The problem, and who follows corrections under the hard switch.
     extra_cost : callable
         extra_cost(x, u, k), a scalar added to (2.43), with x = [r, P_r, TSC_u, TSC_l] and u = [c_u,
-        c_l] of step k; called with CasADi symbols, as the incentive is.
-    switch_width : float
-        Width of the smoothed switch, in units of TSC; 0 takes the modes of the clipped plan.
+        c_l] of step k; called with CasADi symbols.
     limit : float
         Seconds that a step may compute.
 
     Raises
     ------
     ValueError
-        If a function cannot be called with symbols.
+        If the function cannot be called with symbols.
     """
 
-    def __init__(
-        self,
-        corrector: Any,
-        extra_cost: Callable | None = None,
-        switch_width: float = 1e-3,
-        limit: float = 1.0,
-    ):
-        import casadi as ca
-
+    def __init__(self, corrector: Any, extra_cost: Callable | None = None, limit: float = 1.0):
         self.corrector = corrector
-        self.width = not_negative("switch_width", switch_width)
-        # States are TSC_u and TSC_l, from their targets in c_b, r, P_r and the mode before. Where
-        # modes are given, corrections move the thresholds alone.
-        self.moving = 5 if self.width else 2
         self.limit = positive("limit", limit)
-        # Only a cost of one's own has reasons to move one threshold beyond the other.
-        self.guarded = extra_cost is not None
-        robot, c_b = corrector.tsc.robot, corrector.c_b
         x, u, k = ca.MX.sym("x", 4), ca.MX.sym("u", 2), ca.MX.sym("k")
         try:
-            added = ca.Function(
-                "added", [x, u, k], [ca.MX(extra_cost(x, u, k) if extra_cost else 0.0)]
-            )
-            bounds = corrector.incentive(x[0], x[1], c_b, robot.p_min, robot.p_max)
-            box = ca.Function("box", [x], [ca.MX(bound) for bound in bounds])
+            cost = ca.MX(extra_cost(x, u, k) if extra_cost else 0.0)
+            added = ca.Function("added", [x, u, k], [cost])
         except Exception as error:
             raise ValueError(
-                "extra_cost(x, u, k) and incentive are called with CasADi symbols and must depend "
-                "on their arguments alone; use arithmetic and casadi functions, and casadi.if_else "
-                f"in place of if; got {type(error).__name__}: {str(error).strip()[-200:]}"
+                "extra_cost(x, u, k) is called with CasADi symbols and must depend on its "
+                "arguments alone; use arithmetic and casadi functions, and casadi.if_else in place "
+                f"of if; got {type(error).__name__}: {str(error).strip()[-200:]}"
             ) from error
         if added.numel_out() != 1:
             raise ValueError(f"extra_cost must return one number, got {added.numel_out()}")
@@ -106,50 +81,23 @@ class CorrectionProgram:
         path = ca.MX.sym("path", 6, n)
         costs = added.map(n)(path[:4, :], path[4:, :], np.arange(n)[None, :])
         self._added = ca.Function("added", [path], [ca.sum2(costs)])
-        self._solver = self._program(box.map(n))
+        self._solver = self._program()
 
-    def _program(self, box: Any) -> Any:
-        """
-        Return the solver of all steps, the states after them being unknowns; rows are one quantity
-        over the horizon.
-        """
-        import casadi as ca
-
-        tsc, (goal_l, goal_u), c_b = self.corrector.tsc, self.corrector.target, self.corrector.c_b
-        robot, human, n = tsc.robot, tsc.human, self.corrector.horizon
-        path, scale = ca.MX.sym("path", 5, n + 1), ca.MX.sym("scale")
-        moving = ca.MX.sym("moving", self.moving, n)
-        states = ca.vertcat(moving, path[self.moving :, 1:])
-        z_u, z_l, r, p_r, before = ca.vertsplit(ca.horzcat(path[:, :1], states[:, :-1]))
-        upper, lower = goal_u + c_b * z_u, goal_l + c_b * z_l
-        x = ca.vertcat(r, p_r, upper, lower)
-        u = c_b * (states[:2, :] - ca.vertcat(z_u, z_l))
-        least, most = box(x)
-        width = ca.fmax(most - least, NARROW * c_b)
-        shares = (u - ca.vertcat(least, least)) / ca.vertcat(width, width)
-        inside = ca.fmin(ca.fmax(r, STEEP), 1.0 - STEEP)
-        shape = human.beta * ca.log(inside / human.beta)
-        shape += (1.0 - human.beta) * ca.log((1.0 - inside) / (1.0 - human.beta))
-        p_h = human.p_min + (human.p_max - human.p_min) * ca.exp(shape)  # (2.6)
-        value = tsc_at.py_func(p_r, p_h, tsc.constants())  # (2.1)
-        mode = path[4, 1:]
-        if self.width:  # (2.8), smoothed
-            up = 0.5 * (1.0 + ca.tanh(0.5 * (value - upper) / self.width))
-            down = 0.5 * (1.0 + ca.tanh(0.5 * (lower - value) / self.width))
-            mode = (1.0 - up) * (down + (1.0 - down) * before)
-        after_r = next_utilization.py_func(r, mode, human.a)
-        after_p = next_performance.py_func(p_r, p_h, mode, robot.a, robot.b, robot.p_min)
-        missed = states[2:, :] - ca.vertcat(after_r, after_p, mode)
-        rows = ca.vertcat(shares, missed)[: self.moving, :]
-        if self.guarded:
-            apart = (goal_u - goal_l) / c_b + states[0, :] - states[1, :] - SLACK
-            rows = ca.vertcat(apart, rows)
-        cost = self._added(ca.vertcat(x, u)) / c_b**2 + ca.sumsqr(states[:2, :])
+    def _program(self) -> Any:
+        """Return the solver; rows are one quantity over the horizon, TSC_u before TSC_l."""
+        n, c_b, (lower, upper) = self.corrector.horizon, self.corrector.c_b, self.corrector.target
+        # Thresholds after each step, from their targets in c_b.
+        z = ca.MX.sym("z", 2, n)
+        now, known, scale = ca.MX.sym("now", 2), ca.MX.sym("known", 2, n), ca.MX.sym("scale")
+        before = ca.horzcat(now, z[:, :-1])
+        steps = z - before
+        thresholds = ca.repmat(ca.DM([upper, lower]), 1, n) + c_b * before
+        added = self._added(ca.vertcat(known, thresholds, c_b * steps))
         program = {
-            "x": ca.vec(moving),
-            "p": ca.veccat(path, scale),
-            "f": scale * cost,
-            "g": ca.vec(rows),
+            "x": ca.vec(z),
+            "p": ca.veccat(now, known, scale),
+            "f": scale * (added / c_b**2 + ca.sumsqr(z)),
+            "g": ca.veccat(steps, z[0, :] - z[1, :]),
         }
         ipopt = IPOPT | {"max_wall_time": self.limit}
         options = {"print_time": False, "error_on_fail": False, "expand": True, "ipopt": ipopt}
@@ -173,12 +121,10 @@ class CorrectionProgram:
         """
         began = perf_counter()
         try:
-            corrections, reason = self._solved(mode, path)
-            moved, _, other = self.corrector.followed(
-                state, mode, np.ascontiguousarray(corrections)
-            )
+            corrections, reason = self._solved(path)
+            moved, _, other = self.corrector.followed(state, mode, corrections)
             plans = self._judged(cost, path), self._judged(moved, other)
-        except RuntimeError as error:  # CasADi's, as where it cannot evaluate the user's functions
+        except RuntimeError as error:  # CasADi's, as where it cannot evaluate the user's function
             reason = str(error).strip().splitlines()[-1][-200:]
             return np.nan, path, UNSOLVED.format(reason=reason)
         if perf_counter() - began > self.limit:
@@ -196,26 +142,25 @@ class CorrectionProgram:
         total = cost + float(self._added(path[[R, P_R, U, L, C_U, C_L], :-1]))
         return (total if np.isfinite(total) and all(path[L] < path[U]) else np.inf), path
 
-    def _solved(self, mode: int, guess: np.ndarray) -> tuple[np.ndarray, str]:
+    def _solved(self, path: np.ndarray) -> tuple[np.ndarray, str]:
         """Return c_l and c_u to which the solver comes from a path, and why not to use them."""
-        c_b, target = self.corrector.c_b, np.array(self.corrector.target)
-        thresholds = (guess[[U, L]] - target[::-1, None]) / c_b
-        z = np.vstack([thresholds, guess[[R, P_R]], np.r_[mode, guess[MODE, :-1]]])
-        now, start = z[:2, :1], z[: self.moving, 1:]
+        corrector, c_b = self.corrector, self.corrector.c_b
+        robot = corrector.tsc.robot
+        upper_first = np.array(corrector.target)[::-1, None]
+        z = (path[[U, L]] - upper_first) / c_b
+        now, known = z[:, :1], path[[R, P_R], :-1]
+        least, most = np.vectorize(corrector.incentive, "dd")(*known, c_b, robot.p_min, robot.p_max)
+        apart = np.full(corrector.horizon, SLACK + np.diff(upper_first, axis=0) / c_b)
         # Both thresholds stay between their values now and their targets, which are 0.
-        least = np.full_like(start, -np.inf)
-        most = -least
-        least[:2], most[:2] = np.minimum(now, 0.0) - SLACK, np.maximum(now, 0.0) + SLACK
-        greatest = [np.inf] * self.guarded + [1.0, 1.0, 0.0, 0.0, 0.0][: self.moving]
         solution = self._solver(
-            x0=start.ravel("F"),
-            p=np.r_[z.ravel("F"), 1.0 / max(1.0, np.sum(now**2))],
-            lbx=least.ravel("F"),
-            ubx=most.ravel("F"),
-            lbg=0.0,
-            ubg=greatest * self.corrector.horizon,
+            x0=z[:, 1:].ravel("F"),
+            p=np.r_[now.ravel(), known.ravel("F"), 1.0 / max(1.0, np.sum(now**2))],
+            lbx=np.tile(np.minimum(now, 0.0) - SLACK, corrector.horizon).ravel("F"),
+            ubx=np.tile(np.maximum(now, 0.0) + SLACK, corrector.horizon).ravel("F"),
+            lbg=np.r_[np.repeat(least / c_b, 2), apart],
+            ubg=np.r_[np.repeat(most / c_b, 2), np.inf + apart],
         )
-        reached = np.asarray(solution["x"]).reshape(-1, self.moving).T[:2]
-        steps = np.diff(np.c_[now, reached], axis=1)[::-1] * c_b
+        reached = np.asarray(solution["x"]).reshape(-1, 2).T
+        steps = np.diff(np.c_[now, reached])[::-1] * c_b
         stats = self._solver.stats()
-        return steps, "" if stats["success"] else str(stats["return_status"])
+        return np.ascontiguousarray(steps), "" if stats["success"] else stats["return_status"]

@@ -13,11 +13,9 @@ for ever for a threshold that rises, those of the manual mode at the operator's 
 falls.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from math import isnan
 from typing import Any
 
@@ -39,6 +37,7 @@ from trustlab.models.checks import (
 from trustlab.models.compiled import njit
 from trustlab.models.simulation import compiled_for
 from trustlab.models.tsc import (
+    TscConstants,
     TscModel,
     advance,
     human_at,
@@ -229,6 +228,13 @@ def follow(c, c_b, target, start, mode, given, path):
     return follow_with(box, True, c, c_b, target, start, mode, given, path)
 
 
+@cache
+def compiled_follow() -> Callable:
+    """Return `follow` as compiled, which numba would look for by the types of all arguments."""
+    pair, plans, path = np.zeros(2), np.zeros((2, 1)), np.zeros((7, 2))
+    return compiled_for(follow, TscConstants(*[0.5] * 10), 0.5, pair, pair, 1, plans, path)
+
+
 # --- plans ----------------------------------------------------------------------------------------
 
 
@@ -328,17 +334,16 @@ class ThresholdCorrector:
     incentive : callable, optional
         The bounds of correction in place of (2.42): takes r, p_r, c_b, p_min, p_max and returns the
         least and the greatest correction, in [−c_b, 0] and [0, c_b]. `incentive_box` when not
-        given. With CasADi it is called with symbols, too.
+        given.
     engine : {None, "casadi"}
         None plans by clipping, with a proved lower bound of the cost; "casadi" solves a nonlinear
         program, for costs of your own.
     extra_cost : callable, optional
         With CasADi: extra_cost(x, u, k), a scalar added to (2.43) for k = 0 … N − 1, with x = [r,
         P_r, TSC_u, TSC_l] and u = [c_u, c_l] of step k as CasADi symbols; in the unit of (2.43),
-        TSC².
-    switch_width : float, optional
-        With CasADi: width of the smoothed switch in units of TSC, 0.001 when not given; 0 takes the
-        modes of the clipped plan as they are, which a cost of r, P_r or the mode cannot move.
+        TSC². The solver takes r and P_r from the clipped plan, so that they are weights of what the
+        thresholds and their corrections cost; what they cost themselves decides only between the
+        solver's plan and the clipped one, though a plan with other modes may cost less.
     limit : float, optional
         With CasADi: seconds that a step may compute, 1 when not given; if it takes longer, the
         thresholds are held. What is followed outside of the solver is not interrupted: with an
@@ -388,7 +393,6 @@ class ThresholdCorrector:
         incentive: Callable = incentive_box,
         engine: str | None = None,
         extra_cost: Callable | None = None,
-        switch_width: float | None = None,
         limit: float | None = None,
     ):
         self.tsc = of_class("tsc", tsc, TscModel)
@@ -399,10 +403,9 @@ class ThresholdCorrector:
         self.incentive = function("incentive", incentive)
         for r in (0.1, 0.5, 0.9):
             try:
-                low, high = incentive(r, 0.5 * sum(self._range), self.c_b, *self._range)
-                accepted = sound.py_func(low, high, self.c_b)
-                low, high = float(low), float(high)
-                if not accepted:
+                bounds = incentive(r, 0.5 * sum(self._range), self.c_b, *self._range)
+                low, high = map(float, bounds)
+                if not sound.py_func(low, high, self.c_b):
                     raise ValueError(f"it returned {low:g} and {high:g}")
             except Exception as error:
                 raise ValueError(
@@ -410,36 +413,18 @@ class ThresholdCorrector:
                     "least correction, in [−c_b, 0], and the greatest, in [0, c_b], but at r = "
                     f"{r}, c_b = {self.c_b:g}: {type(error).__name__}: {error}"
                 ) from error
-        options = {"extra_cost": extra_cost, "switch_width": switch_width, "limit": limit}
-        given: Any = {name: value for name, value in options.items() if value is not None}
         self.program: Any = None
         if engine is not None:
             one_of("engine", engine, ("casadi",), "None")
             from trustlab.allocation.casadi_correction import CorrectionProgram
 
-            self.program = CorrectionProgram(self, **given)
-        elif given:
-            raise ValueError(f'{", ".join(given)} would do nothing without engine="casadi"')
+            self.program = CorrectionProgram(self, extra_cost, 1.0 if limit is None else limit)
+        elif extra_cost is not None or limit is not None:
+            raise ValueError('extra_cost and limit would do nothing without engine="casadi"')
         self._problem = tsc.constants(), self.c_b, np.array(self.target)
         self._clipped = np.full((2, self.horizon), np.nan)
         self._empty = np.full((7, self.horizon + 1), np.nan)
-        self._find_follow()
-
-    def _find_follow(self) -> None:
-        if self.incentive is incentive_box:
-            # numba would look for it by the types of all arguments at every step
-            state = np.zeros(2), 1, self._clipped, np.zeros((7, 2))
-            self._follow: Callable = compiled_for(follow, *self._problem, *state)
-        else:
-            self._follow = partial(follow_with.py_func, self.incentive, False)
-
-    def __getstate__(self) -> dict[str, Any]:
-        # Compiled functions go to no other process.
-        return {name: value for name, value in vars(self).items() if name != "_follow"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._find_follow()
+        compiled_follow()  # here, as no step of a loop should wait for it
 
     def step(
         self, r: float, p_r: float, lower: float, upper: float, mode: int = 1
@@ -516,7 +501,10 @@ class ThresholdCorrector:
         """
         path = self._empty.copy()
         path[:4, 0] = state
-        return *self._follow(*self._problem, state[2:], mode, given, path), path
+        run: Callable = partial(follow_with.py_func, self.incentive, False)
+        if self.incentive is incentive_box:
+            run = compiled_follow()
+        return *run(*self._problem, state[2:], mode, given, path), path
 
 
 def suggestion_now(tsc: float, lower: float, upper: float) -> int:

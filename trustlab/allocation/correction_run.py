@@ -13,7 +13,7 @@ import pandas as pd
 
 from trustlab.allocation.correction import ROUNDING, ThresholdCorrector, suggestion_now
 from trustlab.allocation.limits import threshold_pair
-from trustlab.allocation.simulation import run_model
+from trustlab.allocation.rules import run_model
 from trustlab.models.checks import (
     between,
     finite_number,
@@ -56,10 +56,10 @@ class OnlineStep(NamedTuple):
         TSC from measured performance (2.1); NaN where a measurement is missing.
     lower, upper : float
         TSC_l and TSC_u on which the suggestion is based.
-    c_l, c_u : float
-        The corrections added to them for the next sample (2.40); 0 where they are held.
     r : float
         Utilization from the modes so far, by (2.5).
+    c_l, c_u : float
+        The corrections added to the thresholds for the next sample (2.40); 0 where they are held.
     cost, cost_lower_bound : float
         Of the plan; NaN where there is none.
     status : {"planned", "held"}
@@ -74,9 +74,9 @@ class OnlineStep(NamedTuple):
     tsc: float
     lower: float
     upper: float
+    r: float
     c_l: float
     c_u: float
-    r: float
     cost: float
     cost_lower_bound: float
     status: str
@@ -163,23 +163,18 @@ class OnlineCorrection:
         c, r, lower, upper = self._c, self.r, self.lower, self.upper
         tsc = tsc_at.py_func(p_r, p_h, c)
         missing = math.isnan(tsc)
+        suggestion = -1 if missing else suggestion_now(tsc, lower, upper)
         nearest = min(max(p_r, c.p_r_min), c.p_r_max)
         inside = abs(p_r - nearest) <= ROUNDING * (c.p_r_max - c.p_r_min)
-        corrections, costs = (0.0, 0.0), (math.nan, math.nan)
-        status, message = "held", MISSING if missing else OUTSIDE
+        outcome = 0.0, 0.0, math.nan, math.nan, "held", MISSING if missing else OUTSIDE
         if not missing and (inside or self._nearest):
             plan = self.corrector.step(r, nearest, lower, upper, now)
-            corrections, costs = (plan.c_l, plan.c_u), (plan.cost, plan.cost_lower_bound)
-            status = plan.status
-            message = plan.message if inside or status == "held" else NEAREST
-        self.lower, self.upper = lower + corrections[0], upper + corrections[1]
-        self.mode = now
-        self.r = next_utilization.py_func(r, now, c.a_r)
-        suggestion = -1 if missing else suggestion_now(tsc, lower, upper)
-        step = OnlineStep(
-            *(suggestion, tsc, lower, upper, *corrections, r, *costs),
-            *(status, message, perf_counter() - began),
-        )
+            message = plan.message if inside or plan.status == "held" else NEAREST
+            costs = plan.cost, plan.cost_lower_bound
+            outcome = plan.c_l, plan.c_u, *costs, plan.status, message
+        step = OnlineStep(suggestion, tsc, lower, upper, r, *outcome, perf_counter() - began)
+        self.lower, self.upper = lower + step.c_l, upper + step.c_u
+        self.mode, self.r = now, next_utilization.py_func(r, now, c.a_r)
         self._steps.append(step)
         return step
 
@@ -197,8 +192,7 @@ class OnlineCorrection:
 
 def _missing(value: Any) -> bool:
     """Return whether a measurement did not come."""
-    number = isinstance(value, float | np.floating)
-    return value is None or value is pd.NA or (number and math.isnan(value))
+    return pd.isna(value) is True  # an array for what is no single value
 
 
 # --- consecutive tests ----------------------------------------------------------------------------

@@ -21,7 +21,6 @@ from trustlab.sessions.session import Session
 # `p_overlap`.
 WITHIN, DRAWS = 0.15, 2000
 SIDES = ("lower", "upper")
-SUMMARY = ["n", "mean", "sd", "ci_low", "ci_high", "share_within"]
 
 STATES = ("followed", "not followed", "withdrawn", "open")
 FOLLOWED, NOT_FOLLOWED, WITHDRAWN, OPEN = range(4)
@@ -136,15 +135,13 @@ def estimate_thresholds(
     rows = []
     for number, run in enumerate(each_once(as_list(sessions))):
         mode = run["mode"]
-        wrong = "thresholds need a mode of 0 or 1, not shares"
-        if model is None and "tsc" not in run:
-            wrong = (
-                "column 'tsc' is missing; give model=TscModel(...) to compute it from p_r and p_h"
+        known = model is not None or "tsc" in run
+        if not (known and np.isin(mode, (0.0, 1.0)).all()):
+            raise SessionError(
+                f"{run.label}: thresholds need a mode of 0 or 1, not shares, and column 'tsc'; or "
+                "give model=TscModel(...) to compute it from p_r and p_h",
+                run.metadata.source,
             )
-        elif np.isin(mode, (0.0, 1.0)).all():
-            wrong = ""
-        if wrong:
-            raise SessionError(f"{run.label}: {wrong}", run.metadata.source)
         tsc = run["tsc"] if model is None else model.value(run["p_r"], run["p_h"])
         for k in np.flatnonzero((np.diff(mode) != 0.0) & (run.t[1:] >= after)) + 1:
             rows.append((number, run.t[k], "lower" if mode[k] == 1.0 else "upper", tsc[k]))
@@ -154,37 +151,34 @@ def estimate_thresholds(
         raise SessionError(
             f"mode never changes{when} in these sessions, so no threshold can be estimated"
         )
-    groups = {side: switches["tsc"][switches["threshold"] == side].to_numpy() for side in SIDES}
-    sides = [_row(values) for values in groups.values()]
-    summary = pd.DataFrame(sides, pd.Index(SIDES, name="threshold"), SUMMARY)
-    return ThresholdEstimate(switches, summary, *_apart(groups, np.random.default_rng(0)))
+    tsc = switches.groupby("threshold")["tsc"]
+    near = (switches["tsc"] - tsc.transform("mean")).abs() <= WITHIN
+    summary = tsc.agg(n="count", mean="mean", sd="std").reindex(SIDES)
+    n = summary["n"] = summary["n"].fillna(0).astype(int)
+    half = special.stdtrit(n - 1, 0.975) * summary["sd"] / np.sqrt(n)
+    summary["ci_low"], summary["ci_high"] = summary["mean"] - half, summary["mean"] + half
+    summary["share_within"] = near.groupby(switches["threshold"]).mean()
+    sides = summary[["n", "mean", "sd"]].to_numpy()
+    return ThresholdEstimate(switches, summary, *_apart(sides, np.random.default_rng(0)))
 
 
-def _apart(groups: dict[str, np.ndarray], rng: np.random.Generator) -> tuple[float, float]:
-    """Return the separation of two groups of switches, and p that it is 1 or less."""
-    samples = []
+def _apart(sides: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
+    """
+    Return the separation of two groups of switches, of which n, mean and SD are known, and p that
+    it is 1 or less.
+    """
+    n, mean, sd = sides.T
+    if n.min() < 2:
+        return np.nan, np.nan
     drawn = []
-    for values in groups.values():
-        n = values.size
-        if n < 2:
-            return np.nan, np.nan
-        mean, sd = values.mean(), values.std(ddof=1)
-        spread = sd * np.sqrt((n - 1) / rng.chisquare(n - 1, DRAWS))
-        samples += [mean, sd]
-        drawn += [mean + spread * rng.standard_normal(DRAWS) / np.sqrt(n), spread]
+    for count, middle, width in sides:
+        spread = width * np.sqrt((count - 1) / rng.chisquare(count - 1, DRAWS))
+        drawn += [middle + spread * rng.standard_normal(DRAWS) / np.sqrt(count), spread]
     with np.errstate(divide="ignore", invalid="ignore"):  # no spread: ∞, or NaN without distance
-        ratio, ratios = ((high - low) / (a + b) for low, a, high, b in (samples, drawn))
+        low, a, high, b = drawn
+        ratios = (high - low) / (a + b)
+        ratio = (mean[1] - mean[0]) / sd.sum()
     return float(ratio), 1.0 - float((ratios > 1.0).mean())
-
-
-def _row(values: np.ndarray) -> list[float]:
-    """Return a row of the summary, NaN where there are too few switches."""
-    n = values.size
-    if n == 0:
-        return [n, *[np.nan] * 5]
-    mean, sd = values.mean(), values.std(ddof=1) if n > 1 else np.nan
-    half = special.stdtrit(n - 1, 0.975) * sd / np.sqrt(n)
-    return [n, mean, sd, mean - half, mean + half, np.mean(np.abs(values - mean) <= WITHIN)]
 
 
 def relative_performance(p_r: float | np.ndarray, p_min: float, p_max: float) -> float:

@@ -5,7 +5,7 @@ Interval arithmetic of our own, as compiled code takes no other.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -287,8 +287,8 @@ def invariant_bounds(
     cells = whole_number("cells", cells)
     cycles = whole_number("cycles", cycles)
     c = tsc.constants()
-    nested = ()
     reason = endless_phase(tsc, lower, upper)
+    nested = ()
     if not reason:
         coarse = min(COARSE, cells)
         most = int(min(60.0 / (1.0 - max(c.a_r, c.a_pr)), EFFORT / (2 * coarse))) + 100
@@ -297,47 +297,37 @@ def invariant_bounds(
             f"a phase from some utilization was not shown to end within {most} samples; "
             f"cells= below {coarse} allow longer phases"
         )
-    after = 0
-    ranges: Any = {
-        "r_low": 0.0,
-        "r_high": 1.0,
-        "p_r_low": tsc.robot.p_min,
-        "p_r_high": tsc.robot.steady_state(1.0, tsc.human.p_max),
-        "tsc_low": -np.inf,
-        "tsc_high": np.inf,
-        "dwell_manual_low": 1.0,
-        "dwell_manual_high": np.inf,
-        "dwell_autonomous_low": 1.0,
-        "dwell_autonomous_high": np.inf,
-    }
+    # P_r keeps to its range and to where the operator at their worst and best would take it.
+    robot, human = tsc.robot, tsc.human
+    ends = [robot.steady_state(1.0, p_h) for p_h in (human.p_min, human.p_max)]
+    of_robot = min(robot.p_min, *ends), max(robot.p_max, *ends)
+    unknown = PhaseImage(0.0, 1.0, np.inf, 1.0, np.inf, *of_robot, -np.inf, np.inf)
+    low, high, manual, autonomous, done, settled = nested or (0.0, 1.0, unknown, unknown, -1, True)
+    slack = 0.0
     if nested:
-        low, high, manual, autonomous, done, settled = nested
-        after = done + 1
         reason = f"every trajectory keeps switching; sets of states nested over {done} cycles"
         if not settled:
             reason += " and were still shrinking, so that tighter bounds exist"
         # P_r and TSC are sums over as many samples as a phase has, each rounded; one ROUNDING per
-        # sample is far more than that. r falls in autonomous phases and rises in manual ones, so
-        # that its extremes are where these begin.
+        # sample is far more than that.
         slack = max(manual.dwell_high, autonomous.dwell_high) * ROUNDING
-        ranges = {
-            "r_low": max(low - slack, 0.0),
-            "r_high": min(high + slack, 1.0),
-            "p_r_low": min(manual.p_r_low, autonomous.p_r_low) - slack,
-            "p_r_high": max(manual.p_r_high, autonomous.p_r_high) + slack,
-            "tsc_low": min(manual.tsc_low, lower - autonomous.overshoot) - slack,
-            "tsc_high": max(autonomous.tsc_high, upper + manual.overshoot) + slack,
-            "dwell_manual_low": manual.dwell_low,
-            "dwell_manual_high": manual.dwell_high,
-            "dwell_autonomous_low": autonomous.dwell_low,
-            "dwell_autonomous_high": autonomous.dwell_high,
-        }
+    # r falls in autonomous phases and rises in manual ones, so that its extremes are where these
+    # begin.
     return InvariantBounds(
         model=tsc,
         lower=lower,
         upper=upper,
         guaranteed=bool(nested),
         reason=reason,
-        cycles=after,
-        **ranges,
+        cycles=done + 1,
+        r_low=max(low - slack, 0.0),
+        r_high=min(high + slack, 1.0),
+        p_r_low=min(manual.p_r_low, autonomous.p_r_low) - slack,
+        p_r_high=max(manual.p_r_high, autonomous.p_r_high) + slack,
+        tsc_low=min(manual.tsc_low, lower - autonomous.overshoot) - slack,
+        tsc_high=max(autonomous.tsc_high, upper + manual.overshoot) + slack,
+        dwell_manual_low=manual.dwell_low,
+        dwell_manual_high=manual.dwell_high,
+        dwell_autonomous_low=autonomous.dwell_low,
+        dwell_autonomous_high=autonomous.dwell_high,
     )

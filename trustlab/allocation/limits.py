@@ -98,7 +98,6 @@ class ThresholdLimits(Result):
     delta_p_h: float
 
     title = "Limits of the thresholds"
-    how_to_get = "trustlab.threshold_limits(tsc) returns them"
 
     @property
     def feasible(self) -> bool:
@@ -203,7 +202,6 @@ def threshold_pair(name: str, pair: tuple[float, float], most: float = 1.0) -> t
         raise ValueError(
             f"{name} must be two numbers, lower and upper, got {shown(pair)}"
         ) from None
-    low = f"the lower {name}"
-    high = f"the upper {name}"
+    low, high = f"the lower {name}", f"the upper {name}"
     lower, upper = in_order(low, lower, high, upper)
     return between(low, lower, -most, most), between(high, upper, -most, most)

@@ -318,24 +318,21 @@ def _best_thresholds(
     # TSC lies between −1 and 1, (2.2).
     pairs = grid_of_pairs(-1.0, 1.0, TRIED)
 
-    def keeping(motions: pd.DataFrame, slack: float) -> pd.DataFrame:
+    def best_of(motions: pd.DataFrame, slack: float) -> pd.DataFrame:
+        """Return the motions that keep both, the best first."""
         dwells = motions[["dwell_manual_low", "dwell_autonomous_low"]].min(axis=1)
-        return motions[(dwells >= (1.0 - slack) * least) & (motions["mean_r"] <= limit + slack)]
+        keep = (dwells >= (1.0 - slack) * least) & (motions["mean_r"] <= limit + slack)
+        return motions[keep].sort_values("points", ascending=False, kind="stable")
 
-    screened = _by_points(keeping(survey([tsc], pairs, SCREEN), 0.1), weight)
+    screened = best_of(pd.DataFrame(survey([tsc], pairs, SCREEN, weight)), 0.1)
     ranked = screened[["lower", "upper"]].to_numpy()
     able = pd.DataFrame()
     for first in range(0, len(ranked), FOLLOWED):
-        able = pd.concat([able, keeping(survey([tsc], ranked[first : first + FOLLOWED]), 0.0)])
+        followed = survey([tsc], ranked[first : first + FOLLOWED], weight=weight)
+        able = best_of(pd.concat([able, pd.DataFrame(followed)]), 0.0)
         if len(able) >= FOLLOWED:
             break
     if able.empty:
         return None, np.nan
-    best = _by_points(able, weight).iloc[0]
-    return (float(best["lower"]), float(best["upper"])), float(best["points"])
-
-
-def _by_points(motions: pd.DataFrame, weight: float) -> pd.DataFrame:
-    """Return motions with the points that they earn, the best first."""
-    points = weight * motions["robot_points"] + (1.0 - weight) * motions["human_points"]
-    return motions.assign(points=points).sort_values("points", ascending=False, kind="stable")
+    lower, upper, points = able.iloc[0][["lower", "upper", "points"]]
+    return (float(lower), float(upper)), float(points)

@@ -1,7 +1,6 @@
 """The steady motion under rule (2.8), sample by sample."""
 
-from __future__ import annotations
-
+import itertools
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from trustlab.allocation.rules import simulate_allocation
 from trustlab.models.checks import in_order, of_class
 from trustlab.models.compiled import njit
 from trustlab.models.display import Result, axes_or_new
@@ -30,7 +30,7 @@ ROWS = "r", "p_r", "p_h", "tsc", "dwell_autonomous", "dwell_manual"
 DWELL = 4
 LOW, HIGH, MEAN = range(3)
 COLUMNS = [column for row in ROWS for column in (f"{row}_low", f"{row}_high", f"mean_{row}")]
-FIELDS = ["lower", "upper", *COLUMNS, "off_beta", "robot_points", "human_points"]
+FIELDS = ["lower", "upper", *COLUMNS, "off_beta", "points"]
 MOTION = np.dtype(
     [("model", int), ("p_switches", bool), ("p_encloses", bool)]
     + [(name, float) for name in FIELDS]
@@ -123,50 +123,44 @@ def longest_phase(c: TscConstants) -> int:
     return int(ENDLESS * slowest(c)) + 100
 
 
-def motions(
-    models: Iterable[TscModel],
-    pairs: np.ndarray | list,
-    lengths: tuple[float, int, float],
-    starts: tuple[bool, ...],
-) -> Iterator[tuple]:
-    """Yield the motions of `survey`, records of MOTION."""
-    settle, cycles, quick = lengths
-    for number, tsc in enumerate(models):
-        c = tsc.constants()
-        times = max(1, int(-1.0 / math.log(min(c.a_r, c.a_pr)) / quick))
-        kept = c.a_pr**times
-        gain = c.b_pr * ((1.0 - kept) / (1.0 - c.a_pr))
-        c = c._replace(a_r=c.a_r**times, a_pr=kept, b_pr=gain)
-        follow = settle * slowest(c), cycles, longest_phase(c)
-        for lower, upper in np.asarray(pairs).tolist():
-            for rested in starts:
-                motion = steady_motion(c, lower, upper, rested, *follow)
-                motion[DWELL:] *= times  # in samples, however long
-                (low, high, _), (*_, p_r), (*_, p_h) = motion[:3].tolist()
-                verdicts = low <= high, low <= c.beta <= high
-                off_beta = max(low - c.beta, c.beta - high)
-                of_robot = (p_r - c.p_r_min) / (c.p_r_max - c.p_r_min)
-                of_human = (p_h - c.p_h_min) / (c.p_h_max - c.p_h_min)
-                seen = *motion.ravel().tolist(), off_beta, 100.0 * of_robot, 100.0 * of_human
-                yield (number, *verdicts, lower, upper, *seen)
-
-
 def survey(
     models: Iterable[TscModel],
     pairs: np.ndarray | list,
     lengths: tuple[float, int, float] = EXACT,
+    weight: float = 1.0,
     starts: tuple[bool, ...] = (False,),
-) -> pd.DataFrame:
+) -> np.ndarray:
     """
-    Return the motions of models under pairs of thresholds: a row for each model, pair and start.
+    Return the motions of models under pairs of thresholds: a record for each model, pair and start.
 
-    Columns are the number of the `model`, the thresholds, COLUMNS (NaN where a mode stays for ever;
+    Fields are the number of the `model`, the thresholds, COLUMNS (NaN where a mode stays for ever;
     dwell times in samples), whether the rule keeps switching, `p_switches`, and utilization
     encloses β, `p_encloses`, probabilities once they are averaged over models, `off_beta`, how far
-    utilization stays from β, and `robot_points` and `human_points`, mean performance in points of
-    (2.39): per cent of its range.
+    utilization stays from β, and `points`, mean performance in per cent of its range, (2.39), of
+    which `weight` is the robot's.
     """
-    return pd.DataFrame(np.fromiter(motions(models, pairs, lengths, starts), MOTION))
+    settle, cycles, quick = lengths
+
+    def motions() -> Iterator[tuple]:
+        for number, tsc in enumerate(models):
+            c = tsc.constants()
+            times = max(1, int(-1.0 / math.log(min(c.a_r, c.a_pr)) / quick))
+            kept = c.a_pr**times
+            gain = c.b_pr * ((1.0 - kept) / (1.0 - c.a_pr))
+            c = c._replace(a_r=c.a_r**times, a_pr=kept, b_pr=gain)
+            follow = settle * slowest(c), cycles, longest_phase(c)
+            for pair, rested in itertools.product(np.asarray(pairs).tolist(), starts):
+                motion = steady_motion(c, *pair, rested, *follow)
+                motion[DWELL:] *= times  # in samples, however long
+                (low, high, _), (*_, p_r), (*_, p_h) = motion[:3].tolist()
+                robot_points = 100.0 * ((p_r - c.p_r_min) / (c.p_r_max - c.p_r_min))
+                human_points = 100.0 * ((p_h - c.p_h_min) / (c.p_h_max - c.p_h_min))
+                points = weight * robot_points + (1.0 - weight) * human_points
+                verdicts = low <= high, low <= c.beta <= high
+                off_beta = max(low - c.beta, c.beta - high)
+                yield (number, *verdicts, *pair, *motion.ravel().tolist(), off_beta, points)
+
+    return np.fromiter(motions(), MOTION)
 
 
 def grid_of_pairs(low: float, high: float, count: int) -> np.ndarray:
@@ -303,8 +297,6 @@ class LimitCycle(SteadyRanges):
         -------
         matplotlib.axes.Axes
         """
-        from trustlab.allocation.simulation import simulate_allocation
-
         model = self.model
         axes = axes_or_new(figsize=(7, 4.2))
         r = np.linspace(0.0, 1.0, 300)
@@ -366,7 +358,7 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
     """
     of_class("tsc", tsc, TscModel)
     lower, upper = in_order("lower", lower, "upper", upper)
-    both = np.fromiter(motions([tsc], [(lower, upper)], ALONE, BOTH), MOTION)
+    both = survey([tsc], [(lower, upper)], ALONE, starts=BOTH)
     going = both[both["p_switches"]]
     endless = endless_phase(tsc, lower, upper)
     ranges: Any = {"model": tsc, "lower": lower, "upper": upper}
@@ -382,7 +374,7 @@ def limit_cycle(tsc: TscModel, lower: float, upper: float) -> LimitCycle:
         exists=True,
         always=going.size == 2 and not endless,
         reason=reason,
-        encloses_beta=bool(going["p_encloses"].all()),
+        encloses_beta=bool(both["p_encloses"].all()),
         mean_r=float(going["mean_r"][0]),
         mean_p_r=float(going["mean_p_r"][0]),
         **ranges,

@@ -19,7 +19,7 @@ from trustlab.allocation.steady import (
     limit_cycle,
     survey,
 )
-from trustlab.identification.posterior.density import SHARED, physical
+from trustlab.identification.posterior.density import physical
 from trustlab.identification.posterior.result import Posterior, tsc_models
 from trustlab.identification.result import FitResult
 from trustlab.models.checks import (
@@ -62,11 +62,6 @@ UNSURE = (
     "The fit has success = False: {} With posterior = trustlab.sample_posterior(sessions), "
     "choose_thresholds(posterior) offers thresholds with a probability, or says what to record. {}"
 )
-
-OBJECTIVES = {
-    "peak": "highest peak of robot performance",
-    "mean": "greatest mean robot performance",
-}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,8 +106,6 @@ class ThresholdChoice(Result):
     limits: ThresholdLimits
     candidates: pd.DataFrame
     tsc: Any
-
-    how_to_get = "trustlab.choose_thresholds(tsc) returns one"
 
     @property
     def offered(self) -> bool:
@@ -194,7 +187,7 @@ def choose_thresholds(
     points: int | None = None,
     objective: str | float = "peak",
     confidence: float | None = None,
-    enclose_beta: bool | None = None,
+    enclose_beta: bool = True,
 ) -> ThresholdChoice:
     """
     Choose thresholds by Algorithm 1: utilization encloses β, performance is near its best.
@@ -224,9 +217,8 @@ def choose_thresholds(
     confidence : float, optional
         For a posterior alone: the probability that a pair must have to be offered, in (0, 1); 0.95
         when not given.
-    enclose_beta : bool, optional
-        Whether the steady utilization must enclose β, as it must when not given; if not, the rule
-        must keep switching.
+    enclose_beta : bool
+        Whether the steady utilization must enclose β; if not, the rule must keep switching.
 
     Returns
     -------
@@ -261,10 +253,11 @@ def choose_thresholds(
     share = between("margin", share if margin is None else margin, 0.001, 0.49)
     count = whole_number("points", count if points is None else points, least=4, most=500)
     if isinstance(objective, str):
-        one_of("objective", objective, OBJECTIVES, "a weight in [0, 1]")
+        one_of("objective", objective, ("peak", "mean"), "a weight in [0, 1]")
+        weight = 1.0
     else:
-        between("objective", objective, 0.0, 1.0)
-    enclose = enclose_beta is None or flag("enclose_beta", enclose_beta)
+        weight = between("objective", objective, 0.0, 1.0)
+    aim, goal = ENCLOSING if flag("enclose_beta", enclose_beta) else SWITCHING
     if confidence is not None and not of_posterior:
         raise ValueError(
             f"confidence = {confidence} would do nothing: of one model a pair keeps switching or "
@@ -280,9 +273,8 @@ def choose_thresholds(
     if not reason:
         off = share * (limits.upper - limits.lower)
         pairs = grid_of_pairs(limits.lower + off, limits.upper - off, count)
-        aim, goal = ENCLOSING if enclose else SWITCHING
-        motions = survey(models[:SCREENED], pairs, SCREEN if of_posterior else EXACT)
-        table = _ranked(motions, objective, asked, aim)
+        motions = survey(models[:SCREENED], pairs, SCREEN if of_posterior else EXACT, weight)
+        table = _ranked(motions, "p_r_high" if objective == "peak" else "points", asked, aim)
         lower, upper, probability, around = _followed(models, table, asked, aim)
         if probability < asked:
             reason = (
@@ -291,18 +283,22 @@ def choose_thresholds(
             if of_posterior:
                 reason += f" with probability {asked:g}; the nearest does with {probability:.3f}. "
                 reason += _what_would_help(source, table, asked, aim)
-            elif enclose:
+            elif enclose_beta:
                 reason += _how_near(limit_cycle(source, lower, upper))
         else:
-            sure = "for exactly this model" if fit is None else OF_A_FIT
+            sure = OF_A_FIT if fit else "for exactly this model"
             if of_posterior:
                 sure = f"with probability {probability:.3f} (asked for: {asked:g})"
-            best = OBJECTIVES.get(str(objective), "greatest weighted performance")
             message = (
                 f"Thresholds {lower:.3f} and {upper:.3f}: the rule {goal} {sure}; of the pairs "
-                f"that do, they reach the {best}. Limits: {limits.message}."
+                f"that do, they are best by objective={objective!r}. Limits: {limits.message}."
             )
-            message += _beside_theorem_1(models, lower, upper)
+            own = threshold_limits(models[0], None)
+            if not (of_posterior or own.contains(lower, upper)):
+                message += (
+                    f" Theorem 1 does not cover the pair at the model's own δ_Ph: {own.message}; "
+                    "that it keeps switching is seen from its motion."
+                )
             message += " Utilization does not enclose β." * (around < asked)
     if reason:
         message = f"No thresholds: {reason}"
@@ -325,29 +321,16 @@ def _how_near(cycle: LimitCycle) -> str:
     )
 
 
-def _beside_theorem_1(models: list[TscModel], lower: float, upper: float) -> str:
-    """Say where a model's own δ_Ph leaves the pair outside the limits of Theorem 1."""
-    own = threshold_limits(models[0], None)
-    if len(models) > 1 or own.contains(lower, upper):
-        return ""
-    return (
-        f" Theorem 1 does not cover the pair at the model's own δ_Ph: {own.message}; that it "
-        "keeps switching is seen from its motion."
-    )
-
-
 # --- the search -----------------------------------------------------------------------------------
 
 
-def _ranked(motions: pd.DataFrame, objective: str | float, asked: float, aim: str) -> pd.DataFrame:
+def _ranked(motions: np.ndarray, objective: str, asked: float, aim: str) -> pd.DataFrame:
     """
     Return means over models of what pairs lead to, the best pair first: of those that do what is
     asked, then of those nearest to it.
     """
-    weight = 1.0 if isinstance(objective, str) else objective
-    points = weight * motions["robot_points"] + (1.0 - weight) * motions["human_points"]
-    motions["objective"] = motions["p_r_high"] if objective == "peak" else points
-    table = motions.groupby(PAIR)[COLUMNS].mean().reset_index()
+    table = pd.DataFrame(motions).assign(objective=motions[objective])
+    table = table.groupby(PAIR)[COLUMNS].mean().reset_index()
     able = table[aim] >= asked
     first = table["objective"].where(able, table[aim])
     second = table["mean_p_r"].where(able, -table["off_beta"])
@@ -367,10 +350,10 @@ def _followed(
     likely = table[count:able].sort_values(aim, ascending=False, kind="stable")[:FOLLOWED]
     tried = []
     for pair in pd.concat([table[:count], likely])[PAIR].to_numpy():
-        motions = survey(models, [pair], starts=BOTH)
-        shares = motions.groupby("model")[["p_switches", "p_encloses"]].all().mean()
-        tried.append((*pair.tolist(), float(shares[aim]), float(shares["p_encloses"])))
-        if shares[aim] >= asked:
+        motions = survey(models, [pair], starts=BOTH).reshape(-1, len(BOTH))
+        shares = [float(motions[name].all(axis=1).mean()) for name in (aim, "p_encloses")]
+        tried.append((*pair.tolist(), *shares))
+        if shares[0] >= asked:
             break
     return max(tried, key=itemgetter(2))
 
@@ -379,14 +362,12 @@ def _what_would_help(posterior: Posterior, table: pd.DataFrame, asked: float, ai
     """Say how much longer to record, as if draws came nearer to their mean."""
     blocks = posterior.target.blocks
     minutes = blocks.measured.shape[1] * blocks.samples * blocks.step / 60.0
-    thetas = posterior.thetas[:SCREENED]
-    apart = (thetas - thetas.mean(axis=0))[:, :SHARED]
-    pairs = table[PAIR][:NEAREST]
+    thetas, pairs = posterior.thetas[:SCREENED], table[PAIR][:NEAREST]
+    mean = thetas.mean(axis=0)
     for times in LONGER:
-        nearer = thetas.copy()
-        nearer[:, :SHARED] -= (1.0 - times**-0.5) * apart
-        motions = survey(tsc_models(physical(nearer, 0.1)), pairs, SCREEN)
-        if motions.groupby(PAIR)[aim].mean().max() >= asked:
+        nearer = physical(mean + times**-0.5 * (thetas - mean), blocks.step)
+        able = survey(tsc_models(nearer), pairs, SCREEN)[aim].reshape(-1, len(pairs))
+        if able.mean(axis=0).max() >= asked:
             return f"Record about {times} times as much: {minutes * times:.0f} minutes."
     return (
         f"More than {LONGER[-1]} times these {minutes:.0f} minutes would be needed: record phases "
@@ -409,7 +390,6 @@ def _room(models: list[TscModel], delta: float) -> tuple[ThresholdLimits, str]:
     least, most = map(np.median, limits_as_printed(c, 0.0))
     smaller = f", or take a smaller δ_Ph than {delta:.3g}" if least < most else ""
     return limits, (
-        f"Theorem 1 leaves no room at δ_Ph = {delta:.3g}: TSC_ub = {limits.upper:.4f} does not "
-        f"exceed TSC_lb = {limits.lower:.4f} (Remark 4); {known}. Remedy: widen the range of robot "
+        f"Theorem 1 leaves no room: {limits.message}; {known}. Remedy: widen the range of robot "
         f"performance (p_max − p_min){smaller}."
     )

@@ -13,8 +13,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from trustlab.allocation.rules import PerformanceRule
-from trustlab.allocation.simulation import simulate_allocation
+from trustlab.allocation.rules import PerformanceRule, simulate_allocation
 from trustlab.campaign.run import run_campaign
 from trustlab.models.checks import of_class, one_of, whole_number, whole_seed
 from trustlab.operators.answers import simulated_answers

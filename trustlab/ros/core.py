@@ -256,7 +256,7 @@ class AllocationCore:
         self.mode: float = 1
         self.forced = True
         if rule is not None:
-            self.rule, self.mode = prepared_rule(rule, None)
+            self.rule, self.mode = prepared_rule(rule)
         else:
             _, self.forced = CONDITIONS[condition]
             if thresholds is not None:

@@ -213,7 +213,7 @@ class RunSettings(Checked):
         if self.rule is None:
             one_of("condition", self.condition, CONDITIONS)
         elif not isinstance(self.rule, str):
-            prepared_rule(self.rule, None)
+            prepared_rule(self.rule)
         if given_thresholds(self.condition or "a rule of your own", self.thresholds) is not None:
             self.__dict__["thresholds"] = threshold_pair("threshold", self.thresholds)
         if self.correction is not None:

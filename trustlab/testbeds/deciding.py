@@ -115,7 +115,7 @@ def task_for(
     """
     operator, model, usual = person
     if rule is not None:
-        rule, mode = prepared_rule(rule, None)
+        rule, mode = prepared_rule(rule)
         task = Task(SCHEDULE, first_mode=mode, r0=operator.r0, **bed)
         return task.suggesting(model), None, obeying(rule)
     condition = one_of("condition", condition, KNOWN, "rule=")

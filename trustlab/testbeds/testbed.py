@@ -213,7 +213,7 @@ class ConditionTestbed(Checked, Testbed):
             if p.default is p.empty and p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)
         ]
         rule = make(person_of(person)[1]) if needed else make()
-        prepared_rule(rule, None)
+        prepared_rule(rule)
         return rule
 
     def conducted(
