@@ -14,7 +14,7 @@ from trustlab.allocation.rules import performance_suggestion
 from trustlab.models.tsc import threshold_mode
 from trustlab.testbeds import GroundRobot, OperatorPopulation, published_operator
 from trustlab.testbeds.deciding import CONDITIONS, SETTLING
-from trustlab.testbeds.ground_robot.conditions import drive_modes
+from trustlab.testbeds.ground_robot.kernel import drive_modes
 from trustlab.testbeds.populations import printed_person
 from trustlab.testbeds.uav_following import DURATION, E_MAX, U_MAX
 
@@ -56,7 +56,8 @@ def test_log_suggestions_and_measures_agree_with_models_and_rules(bed, condition
     if bed == "ground_robot" and condition != "C1":
         assert {0.0, 1.0} <= set(expected)
     if forced:
-        assert set(run.suggestions()["state"]) <= {"followed", "open", "withdrawn"}
+        states = tl.followed_suggestions(session)["state"]
+        assert set(states) <= {"followed", "open", "withdrawn"}
 
     assert measures["p_r"] == session["p_r"].mean()
     assert measures["switches"] == np.abs(np.diff(session["mode"])).sum()

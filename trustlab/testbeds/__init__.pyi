@@ -1,13 +1,12 @@
 from .condition_run import ConditionRun as ConditionRun
-from .ground_robot.conditions import (
+from .ground_robot.course import Course as Course
+from .ground_robot.kernel import (
     identification_session as identification_session,
 )
-from .ground_robot.course import Course as Course
 from .ground_robot.pioneer import Pioneer as Pioneer
 from .populations import (
     OperatorPopulation as OperatorPopulation,
     TeleoperatorPopulation as TeleoperatorPopulation,
-    following_operator as following_operator,
     published_operator as published_operator,
 )
 from .robot_team import (
@@ -31,5 +30,4 @@ from .uav_tracking import (
     TeleoperationLoop as TeleoperationLoop,
     TrackingTask as TrackingTask,
     simulate_teleoperation as simulate_teleoperation,
-    tracking_vehicle as tracking_vehicle,
 )

@@ -57,9 +57,6 @@ DEADLINE = 15.0
 SETTLING = 100.0
 
 
-# What comes from outside at each sample: a mode; NaN where the scheme decides.
-INPUT = np.dtype([("mode", float)])
-
 # Performance summed over the window, utilization, own or suggested thresholds, and when a decision
 # takes effect. −1 stands for no suggestion, no decision under way and no suggestion being
 # considered.
@@ -114,12 +111,11 @@ def task_for(
     bed: further fields of the task.
     """
     operator, model, usual = person
+    task = Task(SCHEDULE, r0=operator.r0, **bed).suggesting(model)
     if rule is not None:
         rule, mode = prepared_rule(rule, None)
-        task = Task(SCHEDULE, first_mode=mode, r0=operator.r0, **bed)
-        return task.suggesting(model), None, obeying(rule)
+        return task._replace(first_mode=mode), None, obeying(rule)
     condition = one_of("condition", condition, KNOWN, "rule=")
-    scheme, forced = KNOWN[condition]
     if suggested_by_tsc(condition):
         pair = usual if thresholds is None else thresholds
         if pair is None:
@@ -136,13 +132,8 @@ def task_for(
     lower, upper = thresholds or (operator.lower, operator.upper)
     if condition == "own":  # switches in C1 come at these values of measured TSC
         lower, upper = lower - operator.trust_bias, upper - operator.trust_bias
-    task = Task(scheme, forced=forced, lower=lower, upper=upper, r0=operator.r0, **bed)
-    return task.suggesting(model), thresholds, None
-
-
-def no_inputs(size: int) -> np.ndarray:
-    """Return records of INPUT for so many samples, in which nothing is decided yet."""
-    return np.full(size, np.nan).view(INPUT)
+    scheme, forced = KNOWN[condition]
+    return task._replace(scheme=scheme, forced=forced, lower=lower, upper=upper), thresholds, None
 
 
 def obeying(rule: Any) -> Callable:
@@ -155,21 +146,22 @@ def obeying(rule: Any) -> Callable:
             (now,) = state.now
             mode = decision(rule, f"t = {t:.1f} s", float(now["tsc"]), float(now["p_r"]))
             if mode is not None:
-                inputs["mode"] = mode
+                inputs[:] = mode
 
     return decide
 
 
-def check_rules(rules: Any, known: Mapping, made: str) -> None:
-    """Refuse a user's conditions whose name is taken, or that cannot be called."""
+def checked_rules(rules: Any, known: Mapping) -> tuple[str, ...]:
+    """Return the names of known conditions and of a user's own, with what makes their rules."""
     if not isinstance(rules, Mapping):
-        raise ValueError(f"rules must map names to what makes {made}; got {shown(rules)}")
+        raise ValueError(f"rules must map names to what makes a rule; got {shown(rules)}")
     for name, make in rules.items():
         if not isinstance(name, str) or name in known or not callable(make):
             raise ValueError(
-                f"rules: {name!r} must be a name of its own, for what makes {made}, so that no run "
-                f"begins in the state of another; got {shown(make)}"
+                f"rules: {name!r} must be a name of its own, for a class or function that makes a "
+                f"rule, so that no run begins in the state of another; got {shown(make)}"
             )
+    return (*known, *rules)
 
 
 def warn_if_too_short(longest: float) -> None:
@@ -196,40 +188,40 @@ def framed(log: np.ndarray) -> pd.DataFrame:
 
 
 def metadata_of(
-    testbed: str,
-    operator: Operator,
-    condition: str,
-    seed: Seed,
-    note: str,
-    measured: str,
-    **facts: Any,
+    testbed: str, operator: Operator, condition: str, seed: Seed, **facts: Any
 ) -> Metadata:
     """
-    Return metadata that say how a run was made: what it stands for (`note`), how its performance is
-    `measured`, where fits look, and further facts.
+    Return metadata that say how a run was made; facts: what it stands for (`note`), how
+    `performance` is measured, and more.
     """
     if isinstance(seed, np.random.SeedSequence):
         facts |= {"seed": str(seed.entropy), "spawn_key": ".".join(map(str, seed.spawn_key))}
     else:
         facts["seed"] = whole_seed(seed)
-    performance = f"{measured}, window {WINDOW:g} s"
-    facts |= {"note": note, "performance": performance, "performance_window": WINDOW}
+    facts["performance"] += f", window {WINDOW:g} s"
+    facts["performance_window"] = WINDOW
     return Metadata(operator.participant, condition, f"trustlab.testbeds.{testbed}", True, facts)
 
 
 @inner
+def draw_thresholds(task, person, state, rng):
+    """Set the thresholds of TSC; own ones are drawn."""
+    state.lower, state.upper = task.lower, task.upper
+    if task.scheme == OWN:
+        state.lower += person.lower_spread * rng.standard_normal()
+        state.upper += person.upper_spread * rng.standard_normal()
+
+
+@inner
 def begin(task, person, state, rng):
-    """Set utilization and mode at the beginning, and draw the operator's first thresholds."""
+    """Set utilization, mode and thresholds at the beginning."""
     state.r = task.r0
     state.mode = task.first_mode
     state.episode_seen = -1e9
     state.suggested = -1
     state.decided = -1
     state.episode = -1
-    state.lower, state.upper = task.lower, task.upper
-    if task.scheme == OWN:
-        state.lower += person.lower_spread * rng.standard_normal()
-        state.upper += person.upper_spread * rng.standard_normal()
+    draw_thresholds(task, person, state, rng)
 
 
 @inner
@@ -325,13 +317,13 @@ def consider(task, person, t, state, rng):
 
 
 @inner
-def allocate(task, person, external, t, state, rng):
-    """Set who drives in this sample, as given from outside or by the scheme."""
+def allocate(task, person, given, t, state, rng):
+    """Set who drives in this sample: a mode given from outside, or, where it is NaN, the scheme."""
     before = state.mode
     if task.scheme == SCHEDULE:
         state.suggested = -1
-    if not np.isnan(external.mode):
-        state.mode = state.suggested = int(external.mode)
+    if not np.isnan(given):
+        state.mode = state.suggested = int(given)
     elif task.scheme == SCHEDULE or t < SETTLING:
         pass
     elif task.scheme == OWN:
@@ -344,9 +336,7 @@ def allocate(task, person, external, t, state, rng):
         state.decided = -1
     if state.mode != before:
         state.episode = -1
-        if task.scheme == OWN:  # own thresholds are drawn anew at every switch
-            state.lower = task.lower + person.lower_spread * rng.standard_normal()
-            state.upper = task.upper + person.upper_spread * rng.standard_normal()
+        draw_thresholds(task, person, state, rng)  # anew at every switch
 
 
 @inner

@@ -26,18 +26,19 @@ from trustlab.operators.ground_robot import Operator, person_of
 from trustlab.teleoperation.loop.settings import SCHEMES
 from trustlab.testbeds import deciding, uav_following as flight
 from trustlab.testbeds.condition_run import ConditionRun
-from trustlab.testbeds.deciding import CONDITIONS, KNOWN, SAMPLE_TIME, Task, check_rules
-from trustlab.testbeds.ground_robot import conditions as ground
+from trustlab.testbeds.deciding import CONDITIONS, KNOWN, SAMPLE_TIME, Task, checked_rules
+from trustlab.testbeds.ground_robot import kernel as ground
 from trustlab.testbeds.ground_robot.course import Course, default_course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
 from trustlab.testbeds.populations import (
     OperatorPopulation,
     TeleoperatorPopulation,
-    following_operator,
-    printed_person,
+    person_among,
+    printed_people,
+    seeded_people,
 )
 from trustlab.testbeds.team_testbed import RobotTeam
-from trustlab.testbeds.teleoperation_measures import teleoperation_measures
+from trustlab.testbeds.teleoperation_measures import measures_of
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
 Person = Mapping[str, Any]
@@ -151,11 +152,9 @@ class ConditionTestbed(Checked, Testbed):
         If a setting is out of range or the population is of another testbed.
     """
 
-    name: ClassVar[str]
-    title: ClassVar[str]
-    module: ClassVar[Any]  # with E_MAX, NOTE and MEASURED
+    module: ClassVar[Any]  # with E_MAX and FACTS
+    numbered: ClassVar[Callable]  # returns the people who go by a number or a name
     laps: ClassVar[int] = 0
-    participant: ClassVar[Callable]
     conditions = tuple(KNOWN)
     printed_conditions = tuple(CONDITIONS)
     printed_n = 20
@@ -168,11 +167,11 @@ class ConditionTestbed(Checked, Testbed):
     rules: Mapping[str, Callable] = field(default_factory=dict)
 
     def __post_init__(self):
-        check_rules(self.rules, KNOWN, "a rule, as a class or lambda: ThresholdRule(0.0, 0.3)")
         super().__post_init__()
+        conditions = checked_rules(self.rules, KNOWN)
         population = self.population or usual_population(self.name)
         one_of("the testbed of population", population.testbed, [self.name])
-        self.__dict__.update(conditions=(*KNOWN, *self.rules), population=population)
+        self.__dict__.update(conditions=conditions, population=population)
 
     def run(self, condition: str, person: Person, seed: Seed) -> ConditionRun:
         """
@@ -207,12 +206,12 @@ class ConditionTestbed(Checked, Testbed):
             If what was made is no rule; and what making it raises.
         """
         make = self.rules[condition]
-        needed = [
-            p
-            for p in inspect.signature(make).parameters.values()
-            if p.default is p.empty and p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)
-        ]
-        rule = make(person_of(person)[1]) if needed else make()
+        try:
+            inspect.signature(make).bind()
+        except TypeError:  # it needs an argument
+            rule = make(person_of(person)[1])
+        else:
+            rule = make()
         prepared_rule(rule, None)
         return rule
 
@@ -239,53 +238,17 @@ class ConditionTestbed(Checked, Testbed):
         task, thresholds, decide = deciding.task_for(
             condition, rule, person, thresholds, e_max=self.module.E_MAX, laps=self.laps
         )
-        facts = {
-            self.setting_names[0]: getattr(self, self.setting_names[0]),
-            "settling": deciding.SETTLING,
-        }
+        length = self.setting_names[0]
+        facts = {length: getattr(self, length), "settling": deciding.SETTLING} | self.module.FACTS
         if thresholds is not None:
             facts |= zip(("TSC_l", "TSC_u"), thresholds, strict=True)
-        metadata = deciding.metadata_of(
-            self.name, operator, condition, seed, self.module.NOTE, self.module.MEASURED, **facts
-        )
+        metadata = deciding.metadata_of(self.name, operator, condition, seed, **facts)
         log, lap_times = self._simulated(task, operator, seed, decide)
-        return ConditionRun(
-            log=log,
-            metadata=metadata,
-            operator=operator,
-            model=model,
-            thresholds=thresholds,
-            lap_times=lap_times,
-        )
+        return ConditionRun(log, metadata, operator, model, thresholds, lap_times)
 
     def _simulated(self, task: Task, operator: Operator, seed: Seed, decide: Any) -> tuple:
         """Return the log of a run, and when laps ended, where there are any."""
         raise NotImplementedError
-
-    def identified(
-        self, participant: Any, operator: Operator | None, model: TscModel | None
-    ) -> tuple[Operator, TscModel, tuple[float, float] | None]:
-        """
-        Return operator, model and thresholds of a participant by number or of a given operator.
-
-        Parameters
-        ----------
-        participant, operator, model : object
-            As for `run_condition`.
-        """
-        if (participant is None) == (operator is None):
-            raise ValueError(
-                "who drives? give either participant= or operator=, not both, and model= for an "
-                "Operator"
-            )
-        if operator is not None:
-            participant = of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
-        if model is not None or isinstance(participant, Operator):
-            model = of_class("model", model, TscModel)
-        if isinstance(participant, Operator):
-            return participant, model, None
-        person = self.participant(str(participant))
-        return person if model is None else (person[0], model, person[2])
 
     def next_session(self, person: Person, run: ConditionRun) -> Person:
         """
@@ -329,7 +292,7 @@ class GroundRobot(ConditionTestbed):
     name = "ground_robot"
     title = "the ground-robot testbed"
     module: ClassVar[Any] = ground
-    participant = staticmethod(printed_person)
+    numbered = staticmethod(printed_people)
     setting_names = ("laps", "rest")
 
     laps: int = 8  # type: ignore[misc]  # of other testbeds a constant
@@ -364,7 +327,7 @@ class UavFollowing(ConditionTestbed):
     title = "the testbed of the UAV that follows a leader"
     module: ClassVar[Any] = flight
     duration = flight.DURATION
-    participant = staticmethod(following_operator)
+    numbered = staticmethod(seeded_people)
 
     def _simulated(self, task, operator, seed, decide):
         return flight.flown(task, operator, seed, decide), None
@@ -415,9 +378,7 @@ class UavTracking(Checked, Testbed):
         """
         operator, study = self.population.person(person), self.population.study
         session = simulate_teleoperation(condition, operator, study, seed, self.duration)
-        row = teleoperation_measures(session).iloc[0]
-        measures = row.drop(["participant", "scheme", "synthetic"]).to_dict()
-        return SimpleNamespace(session=session, measures=measures)
+        return SimpleNamespace(session=session, measures=measures_of(session))
 
 
 TESTBEDS: dict[str, Any] = {
@@ -465,8 +426,8 @@ def run_condition(
         The condition; either this or `rule`.
     participant : int, str or Operator
         Who drives: the stand-in for a printed participant, 1 to 5, "1" to "5" or "pilot"
-        (`published_operator`), or any `Operator`. On the UAV the seeded operators 1 to 20 of
-        `following_operator`, or an `Operator` with a model in shares of 1.
+        (`published_operator`), or any `Operator`. On the UAV the seeded operators 1 to 20, or an
+        `Operator` with a model in shares of 1.
     model : TscModel, optional
         The model which TSC and P_max of Algorithm 2 are taken from: the operator's identified one.
         For a participant by number it is known; needed for an `Operator`. Its samples are 0.1 s, as
@@ -497,8 +458,7 @@ def run_condition(
     Returns
     -------
     ConditionRun
-        With `.session`, `.measures`, `.suggestions()` and `.plot()`; of the ground robot with
-        `.lap_times` besides.
+        With `.session`, `.measures` and `.plot()`; of the ground robot with `.lap_times` besides.
 
     Raises
     ------
@@ -532,9 +492,20 @@ def run_condition(
     """
     bed = named_testbed(testbed, laps, (GroundRobot.name, UavFollowing.name))
     of_class("testbed", bed, ConditionTestbed, "or a name")
-    person = bed.identified(participant, operator, model)
+    if (participant is None) == (operator is None):
+        raise ValueError(
+            "who drives? give either participant= or operator=, not both, and model= for an "
+            "Operator"
+        )
+    who: Any = participant
+    own = usual = None
+    if operator is not None:
+        who = of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
+    if not isinstance(who, Operator):
+        who, own, usual = person_among(bed.numbered(), who)
+    person = who, of_class("model", own if model is None else model, TscModel), usual
     if r0 is not None:
-        person = replace(person[0], r0=r0), *person[1:]
+        person = replace(who, r0=r0), *person[1:]
     if rule is not None:
         if condition is not None or thresholds is not None:
             raise ValueError(

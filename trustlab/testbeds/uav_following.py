@@ -20,7 +20,7 @@ from trustlab.testbeds import deciding
 from trustlab.testbeds.deciding import COUNTS, FLAGS, NUMBERS, SAMPLE_TIME, Task
 from trustlab.testbeds.ground_robot.course import size
 from trustlab.testbeds.populations import P_R_MIN
-from trustlab.testbeds.uav_tracking import TrackingTask, tracking_vehicle
+from trustlab.testbeds.uav_tracking import VEHICLE, TrackingTask, target_path
 
 # Length of a test, as printed [s], and in samples.
 DURATION = 360.0
@@ -38,8 +38,10 @@ WANDER_TIME, SHAKE_TIME = 6.0, 0.1
 DRIFT_TIME, ANCHORING_TIME = 40.0, 2.0
 
 LEADER = TrackingTask(size_x=6.0, size_y=4.0, speed=0.3)
-NOTE = "simulated stand-in for the UAV testbed of Fig. 2.10"
-MEASURED = f"Section 2.4.2, e_max {E_MAX:g} m, Δu_max {U_MAX:g} m/s"
+FACTS = {
+    "note": "simulated stand-in for the UAV testbed of Fig. 2.10",
+    "performance": f"Section 2.4.2, e_max {E_MAX:g} m, Δu_max {U_MAX:g} m/s",
+}
 
 # Means of |x| + |y| and of √(x² + y²) for x and y normal with unit variance.
 MEAN_1, MEAN_2 = 2.0 * np.sqrt(2.0 / np.pi), np.sqrt(np.pi / 2.0)
@@ -184,7 +186,7 @@ def follow(first, stop, setup, state, inputs, log):
     """
     Follow the leader, as a kernel of `Simulation`.
 
-    setup: a `FlightSetup`. state: a `FlightState`. inputs, log: records of INPUT and of LOG.
+    setup: a `FlightSetup`. state: a `FlightState`. inputs: modes, or NaN. log: records of LOG.
     """
     task, person = setup.task, setup.person
     now = state.now[0]
@@ -209,7 +211,7 @@ def flight_of(hand_lag: float) -> np.void:
     """Return constants; left alone, the autopilot settles at the robot performance P_R_MIN."""
     lags = {"wander": WANDER_TIME, "shake": SHAKE_TIME, "hand": hand_lag}
     lags |= {"drift": DRIFT_TIME, "anchor": ANCHORING_TIME}
-    moves, driven = tracking_vehicle()[0].discrete(SAMPLE_TIME)
+    moves, driven = VEHICLE[0].discrete(SAMPLE_TIME)
     # Share of the drift's variance that the vehicle follows.
     followed = GAIN * DRIFT_TIME / (1.0 + GAIN * DRIFT_TIME)
     drift = E_MAX * (1.0 - P_R_MIN) / (MEAN_2 * np.sqrt(followed))
@@ -227,9 +229,10 @@ def flown(
     log, (z_r, z_h) = np.empty(SAMPLES, LOG), np.empty((2, SAMPLES))
     sensing, hand, choices, start = map(np.random.default_rng, spawned(seed, 4))
     phase = start.uniform(0.0, 2.0 * np.pi)
-    leader = np.array(LEADER.path(deciding.sample_times(SAMPLES), 0.0, phase)) @ (1.0, 1j, 0.0)
+    t = deciding.sample_times(SAMPLES)
+    leader = np.array(target_path(LEADER, t, 0.0, phase)) @ (1.0, 1j, 0.0)
     setup = FlightSetup(task, flight_of(operator.hand_lag), operator.numbers, *leader)
     state = FlightState(np.zeros(1, STATE), sensing, hand, choices, z_r, z_h)
-    run = Simulation(follow, setup, state, deciding.no_inputs(SAMPLES), log, decide)
+    run = Simulation(follow, setup, state, np.full(SAMPLES, np.nan), log, decide)
     run.advance(SAMPLES)
     return log

@@ -9,7 +9,6 @@ is stepped or run, and what is drawn at random. One sample is `teleoperate` in
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -23,8 +22,6 @@ from trustlab.models.checks import (
     array_between,
     between,
     changes,
-    finite_array,
-    finite_number,
     finite_numbers,
     function,
     named,
@@ -36,7 +33,7 @@ from trustlab.models.checks import (
 )
 from trustlab.models.records import coloured
 from trustlab.models.simulation import Loop, Simulation, View, compiled_for, filled
-from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
+from trustlab.models.uav import TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
 from trustlab.teleoperation.delays import (
@@ -80,21 +77,11 @@ from trustlab.trust.interface import TrustDynamics
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
 
 
-@cache
-def tracking_vehicle() -> tuple[TransferFunction, ...]:
-    """
-    Return the UAV of (A.1) under a low-level velocity controller, as Section 3.6 assumes one.
-
-    State feedback u = (ω² r − (ω² − d_0) v − (2ω − d_1) dv/dt)/gain puts both poles at −ω = −4/s,
-    and at −ω for order one. The printed PD controller of Appendix A does not stabilise (A.1) by
-    itself on x and y.
-    """
-    omega = 4.0
-    first, second = (
-        TransferFunction(omega, (omega,)),
-        TransferFunction(omega**2, (2.0 * omega, omega**2)),
-    )
-    return tuple(first if model.order == 1 else second for model in PRINTED_UAV.values())
+# The UAV of (A.1) under a low-level velocity controller, as Section 3.6 assumes one: state feedback
+# u = (ω² r − (ω² − d_0) v − (2ω − d_1) dv/dt)/gain puts both poles at −ω = −4/s on x and y, and the
+# one on z. The printed PD controller of Appendix A does not stabilise (A.1) by itself on x and y.
+PLANAR = TransferFunction(16.0, (8.0, 16.0))
+VEHICLE = PLANAR, PLANAR, TransferFunction(4.0, (4.0,))
 
 
 @dataclass(frozen=True)
@@ -125,11 +112,11 @@ class TrackingTask(Checked):
     autonomy : callable, optional
         f(state) → u_a [m/s], shape (3,), in place of the PID controller on `state.picture`; like
         that it hovers, and is not asked, while `state.finds` is False.
-    vehicle : three TransferFunction, callable or (A, B, C), optional
-        Command to velocity per axis; `tracking_vehicle()` when not given. Or f(state) → position
-        [m] and velocity [m/s] a sample later, shape (3,) each, under `state.command`. Or the
-        matrices of a discrete state space, x' = A x + B u and (position, velocity) = C x', with x =
-        0 where it starts. Scheme OMI predicts with three TransferFunction.
+    vehicle : three TransferFunction, callable or (A, B, C)
+        Command to velocity per axis, by default with poles at −4/s. Or f(state) → position [m] and
+        velocity [m/s] a sample later, shape (3,) each, under `state.command`. Or the matrices of a
+        discrete state space, x' = A x + B u and (position, velocity) = C x', with x = 0 where it
+        starts. Scheme OMI predicts with three TransferFunction.
 
     Raises
     ------
@@ -157,45 +144,15 @@ class TrackingTask(Checked):
     reach: Positive = 1.5
     view: Annotated[float, (1e-6, 1e6)] = 1e6
     autonomy: Callable | None = None
-    vehicle: Any = None
+    vehicle: Any = VEHICLE
 
     def __post_init__(self):
         super().__post_init__()
         refuse_changed(self, self.autonomy, "a controller", "integral", "reach")
         if is_state_space(self.vehicle):
             state_space(*self.vehicle)
-        elif not (self.vehicle is None or callable(self.vehicle)):
+        elif not callable(self.vehicle):
             three_axes(self.vehicle)
-
-    def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Return where the UAV should be and how fast that moves: a figure of eight at a height above
-        the floor.
-
-        Parameters
-        ----------
-        t : numpy.ndarray, shape (N,)
-            Times [s].
-        height : float
-            z_d [m].
-        phase : float
-            Where on the path the target begins [rad].
-
-        Returns
-        -------
-        position, velocity : numpy.ndarray, shape (N, 3)
-            In m and m/s.
-        """
-        t, phase = finite_array("t", t), finite_number("phase", phase)
-        height = finite_number("height", height)
-        # for a root mean square speed of `speed`
-        rate = self.speed / np.sqrt(0.5 * self.size_x**2 + 2.0 * self.size_y**2)
-        turn = rate * t + phase
-        x, y = self.size_x * np.sin(turn), self.size_y * np.sin(2 * turn)
-        v_x = self.size_x * rate * np.cos(turn)
-        v_y = 2 * self.size_y * rate * np.cos(2 * turn)
-        position = np.column_stack([x, y, np.full(t.size, height)])
-        return position, np.column_stack([v_x, v_y, np.zeros(t.size)])
 
 
 TASKS = {
@@ -312,7 +269,8 @@ class TeleoperationLoop(Loop):
         whole = state_of(self.settings, self.guidance, start)
         self.state = View(whole)
         if self.scheme.shares == "optimal":
-            hooks["scheme"] = optimal(numbers, whole)
+            share = compiled_for(optimal_share, numbers, whole)
+            hooks["scheme"] = lambda view: (share(numbers, whole), view.beta_max)
         inputs = drawn(self.settings, self.task, self.operator, count + 1, seeds)
         arrives = np.ones((2, count), bool)
         for name, signal in given.items():
@@ -369,7 +327,7 @@ class TeleoperationLoop(Loop):
         # what a function sets stays until it is asked again
         flies: dict[str, Any] = {"phi": np.eye(3)}
         if "vehicle" not in hooks:
-            axes = tracking_vehicle() if task.vehicle is None else three_axes(task.vehicle)
+            axes = three_axes(task.vehicle)
             flies["phi"], flies["gamma"] = vehicle_matrices(axes, T)
         if shares == "optimal":
             if "vehicle" in hooks:
@@ -565,14 +523,19 @@ def checked_signals(signals: Any, count: int, bounds: Mapping) -> dict[str, np.n
     return checked
 
 
-def optimal(numbers: np.ndarray, whole: np.ndarray) -> Callable:
-    """Return scheme OMI as a function of the state."""
-    share = compiled_for(optimal_share, numbers, whole)
-
-    def shares(view: View) -> tuple[float, float]:
-        return share(numbers, whole), view.beta_max
-
-    return shares
+def target_path(
+    task: TrackingTask, t: np.ndarray, height: float, phase: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return where the UAV should be [m] and how fast that moves [m/s], shape (N, 3): a
+    figure of eight at a height above the floor, which begins at `phase` [rad].
+    """
+    x, y = task.size_x, task.size_y
+    rate = task.speed / np.sqrt(0.5 * x**2 + 2.0 * y**2)  # the root mean square speed is `speed`
+    turn = rate * t + phase
+    position = np.column_stack([x * np.sin(turn), y * np.sin(2 * turn), np.full(t.size, height)])
+    v_x, v_y = x * rate * np.cos(turn), 2 * y * rate * np.cos(2 * turn)
+    return position, np.column_stack([v_x, v_y, np.zeros(t.size)])
 
 
 def drawn(settings, task, operator, count, seeds) -> np.ndarray:
@@ -584,7 +547,7 @@ def drawn(settings, task, operator, count, seeds) -> np.ndarray:
     T = settings.sample_time
     t, inputs = T * np.arange(count), np.zeros(count, INPUT)
     phase = start.uniform(0.0, 2.0 * np.pi)
-    reference = task.path(t, settings.height, phase)
+    reference = target_path(task, t, settings.height, phase)
     inputs["reference"], inputs["reference_velocity"] = reference
     inputs["detected"] = _losses(task, count, T, losses)
     inputs["motor"] = coloured(count, 3, operator.noise_time, T, noise)
@@ -594,16 +557,11 @@ def drawn(settings, task, operator, count, seeds) -> np.ndarray:
 
 
 def _losses(task: TrackingTask, count: int, sample_time: float, rng) -> np.ndarray:
-    """Return whether the autonomous controller sees its target, per sample."""
-    detected = np.ones(count, bool)
-    k = 0
-    sees = True
-    while k < count:
-        length = rng.exponential(task.failure_every if sees else task.failure_length)
-        until = k + max(round(length / sample_time), 1)
-        detected[k:until] = sees
-        k, sees = until, not sees
-    return detected
+    """Return whether the autonomous controller sees its target, per sample, in turns."""
+    means = np.resize([task.failure_every, task.failure_length], count)
+    lengths = np.maximum(np.round(rng.exponential(means) / sample_time), 1.0)
+    turn = np.searchsorted(np.cumsum(lengths), np.arange(count), side="right")
+    return turn % 2 == 0
 
 
 def delays_of(settings: LoopSettings, delay: Any, count: int, seeds) -> np.ndarray:
@@ -612,6 +570,6 @@ def delays_of(settings: LoopSettings, delay: Any, count: int, seeds) -> np.ndarr
     ways, T = both_ways(delay), settings.sample_time
     for name, child in zip(ways, seeds, strict=True):
         if ways[name] is None:
-            seed = np.random.SeedSequence(int(np.random.default_rng(child).integers(1 << 62)))
+            seed = int(np.random.default_rng(child).integers(1 << 62))
             ways[name] = random_walk_delay(max(low, T), high, rate, seed)
     return delays_in_samples(ways, rate, count, T)

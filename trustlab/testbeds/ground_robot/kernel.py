@@ -1,6 +1,6 @@
 """
-The loop that drives the ground robot: one step of operator, allocation and robot every tenth of a
-second.
+The loop that drives the ground robot, a simulated stand-in for the Stage testbed of Fig. 2.1: one
+step of operator, allocation and robot every tenth of a second; and what is driven by it.
 
 A sample begins at its pause: the robot has been located, the hand has moved and performance has
 been measured. `drive` then lets somebody decide who drives, logs the sample, moves the robot and
@@ -13,35 +13,58 @@ given.
 """
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from trustlab.models.checks import Seed, of_class, spawned
 from trustlab.models.compiled import inner, njit
 from trustlab.models.records import record
-from trustlab.models.simulation import END
-from trustlab.operators.ground_robot import driving_style, joystick
+from trustlab.models.simulation import END, Simulation
+from trustlab.operators.ground_robot import Operator, driving_style, joystick
+from trustlab.sessions.session import Session
 from trustlab.testbeds.deciding import (
     COUNTS,
     FLAGS,
     NUMBERS,
+    SAMPLE_TIME,
+    SCHEDULE,
     Task,
     allocate,
     begin,
+    framed,
     log_decision,
     measure,
+    metadata_of,
     skill_now,
     tire,
 )
 from trustlab.testbeds.ground_robot.course import (
+    Course,
     CourseNumbers,
     angle_of,
+    default_course,
     direction,
     nearest_point,
     path_point,
     size,
 )
-from trustlab.testbeds.ground_robot.pioneer import scan, wrapped
+from trustlab.testbeds.ground_robot.pioneer import Pioneer, scan, wrapped
+
+# Deviation that counts as performance 0 [m], and the least mean speed of a run [m/s].
+E_MAX, SLOWEST = 2.0, 0.15
+# Largest runs that are made: 1.2 GB are nearly twelve days of driving [s].
+MOST_LAPS, MOST_SECONDS = 1000, 1e6
+
+MAKE_OPERATOR = (
+    "make one with trustlab.operators.operator(participant, model) or "
+    "trustlab.testbeds.published_operator(1)"
+)
+FACTS = {
+    "note": "simulated stand-in for the Stage testbed of Fig. 2.1",
+    "performance": "(2.4), (2.7)",
+}
 
 # Correlation time of the hand's shaking [s].
 SHAKING = 0.25
@@ -250,7 +273,7 @@ def drive(first, stop, setup, state, inputs, log):
     """
     Drive, as a kernel of `Simulation`, until `stop` or until all laps are done.
 
-    setup: a `DriveSetup`. state: a `DriveState`. inputs, log: records of INPUT and of LOG.
+    setup: a `DriveSetup`. state: a `DriveState`. inputs: modes, or NaN. log: records of LOG.
     """
     task, person = setup.task, setup.person
     now, dt = state.now[0], task.sample_time
@@ -269,3 +292,97 @@ def drive(first, stop, setup, state, inputs, log):
         if k + 1 < log.size:
             sense(k + 1, setup, state, log)
     return stop, -1
+
+
+# --- what is driven -------------------------------------------------------------------------------
+
+
+def drive_modes(
+    mode: np.ndarray,
+    operator: Operator,
+    seed: Seed = 0,
+    robot: Pioneer | None = None,
+    r0: float = 0.0,
+    condition: str = "given modes",
+) -> Session:
+    """
+    Return the session of a drive with these modes, 1 manual or 0 autonomous, every 0.1 s, without
+    tsc and suggested_mode; it begins at the utilization r0.
+    """
+    of_class("operator", operator, Operator, MAKE_OPERATOR)
+    task = Task(SCHEDULE, E_MAX, first_mode=int(mode[0]), r0=r0)
+    log, _ = driven(task, robot or Pioneer(), default_course(), operator, seed, mode.astype(float))
+    metadata = metadata_of("ground_robot", operator, condition, seed, **FACTS)
+    return Session(framed(log).drop(columns=["tsc", "suggested_mode"]), metadata)
+
+
+def identification_session(operator: Operator, seed: Seed = 0) -> Session:
+    """
+    Drive what Section 2.2.2 identifies a model from: manual up to the maximum and autonomous down
+    to the minimum, 800 s each, then four mixed phases of 300 to 500 s, manual and autonomous in
+    turn.
+
+    Parameters
+    ----------
+    operator : Operator
+        Who drives.
+    seed : int or numpy.random.SeedSequence
+        As for `run_condition`; the lengths of the mixed phases are drawn from a fourth stream.
+
+    Returns
+    -------
+    Session
+        At 10 Hz, for `fit_robot`, `fit_human` and `fit_tsc`.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood.
+    """
+    stream = np.random.default_rng(spawned(seed, 4)[3])
+    lengths = np.r_[800.0, 800.0, stream.uniform(300.0, 500.0, size=4)]
+    samples = np.round(lengths / SAMPLE_TIME).astype(int)
+    mode = np.repeat(1 - np.arange(samples.size) % 2, samples)
+    return drive_modes(mode, operator, seed, condition="identification")
+
+
+def driven(
+    task: Task,
+    robot: Pioneer,
+    course: Course,
+    operator: Operator,
+    seed: Seed,
+    inputs: np.ndarray | None = None,
+    decide: Callable | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the log of a run, and when laps ended; all that are wanted must be done in time.
+
+    Without laps a run has as many samples as `inputs`.
+    """
+    if inputs is None:
+        seconds = task.laps * course.length / SLOWEST
+        if seconds > MOST_SECONDS:
+            raise ValueError(
+                f"{task.laps} laps of {course.length:.3g} m would take up to {seconds:.3g} s, more "
+                f"than the {MOST_SECONDS:g} s that one run may last; split it into several runs"
+            )
+        inputs = np.full(int(np.ceil(seconds / SAMPLE_TIME)) + 1, np.nan)
+    count = inputs.size
+    rates = rates_of(operator, robot, task.sample_time)
+    setup = DriveSetup(task, course.numbers, robot.numbers, operator.numbers, rates)
+    sensing, hand, choices = map(np.random.default_rng, spawned(seed, 3))
+    arc, z_r, z_h = np.empty((3, count))
+    now, lap_times = np.zeros(1, STATE), np.empty(task.laps)
+    state = DriveState(now, sensing, hand, choices, arc, z_r, z_h, lap_times)
+    log = np.empty(count, LOG)
+    run = Simulation(drive, setup, state, inputs, log, decide)
+    run.advance(count)
+    done = int(now["laps"][0])
+    if done < task.laps:
+        raise ValueError(
+            f"only {done} of {task.laps} laps were done in {count * SAMPLE_TIME:.0f} s "
+            f"(an average of {SLOWEST} m/s would do): this robot or operator does not keep to the "
+            "course; check their parameters"
+        )
+    return log[: run.done], lap_times

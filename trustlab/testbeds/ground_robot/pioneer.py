@@ -8,7 +8,7 @@ import numpy as np
 
 from trustlab.models.checks import Checked, NotNegative, Positive, Share
 from trustlab.models.compiled import inner
-from trustlab.testbeds.ground_robot.course import angle_of, direction, size
+from trustlab.testbeds.ground_robot.course import angle_of, direction
 
 
 @inner
@@ -33,15 +33,12 @@ def scan(posts, robot, state, sensing):
     edge = np.cos(half) if half < np.pi else -2.0
     for post in posts:
         way = post - state.place
-        if max(abs(way.real), abs(way.imag)) > 1.001 * robot.scan_range:
+        square = way.real**2 + way.imag**2
+        if square > robot.scan_range**2:
             continue
-        distance = size(way)
-        # How far ahead a post stands tells whether it is in view without an angle, but for the very
-        # edge of the view.
-        inside = heading.real * way.real + heading.imag * way.imag - edge * distance
-        if distance > robot.scan_range or inside < -1e-9 * distance:
-            continue
-        if inside < 1e-9 * distance and abs(wrapped(angle_of(way) - state.yaw)) > half:
+        distance = np.sqrt(square)
+        # how far ahead a post stands tells whether it is in view without an angle
+        if heading.real * way.real + heading.imag * way.imag < edge * distance:
             continue
         if sensing.random() > robot.detection:
             continue
@@ -145,7 +142,7 @@ class Pioneer(Checked):
     @property
     def numbers(self) -> Any:
         """The robot as plain numbers for compiled loops, by the names that they have here."""
-        return PioneerNumbers._make(getattr(self, name) for name in PioneerNumbers._fields)
+        return PioneerNumbers(**vars(self))
 
 
 PioneerNumbers = namedtuple("PioneerNumbers", Pioneer.__match_args__)  # type: ignore[misc]
