@@ -43,9 +43,6 @@ class TeamRun(Result):
     ----------
     robots : tuple
         Names.
-    graphs : tuple of (float, numpy.ndarray)
-        From when each graph was given [s], to hold from the next decision on, and its a_ij, shape
-        (N, N).
     goal : numpy.ndarray, shape (3,)
         r_q [m].
     data : pandas.DataFrame
@@ -65,7 +62,6 @@ class TeamRun(Result):
     """
 
     robots: tuple
-    graphs: tuple[tuple[float, np.ndarray], ...]
     goal: np.ndarray
     data: pd.DataFrame
     positions: np.ndarray
