@@ -51,6 +51,9 @@ SAMPLE_TIME, WINDOW = 0.1, 100.0
 # A suggestion counts as followed when the operator complies within this time [s].
 DEADLINE = 15.0
 
+# An operator, the model that rules and suggestions use, and the thresholds of suggestions, if any.
+Driver = tuple[Operator, TscModel, tuple[float, float] | None]
+
 # Nobody switches before this time [s], when the window of (2.4) and (2.7) is full for the first
 # time: means of the first few samples, of a robot that has just been put on the path, are far above
 # what they become.
@@ -99,7 +102,7 @@ def suggested_by_tsc(condition: str) -> bool:
 def task_for(
     condition: str | None,
     rule: Any,
-    person: tuple[Operator, TscModel, tuple[float, float] | None],
+    driver: Driver,
     thresholds: tuple[float, float] | None,
     **bed: Any,
 ) -> tuple[Task, tuple[float, float] | None, Callable | None]:
@@ -107,10 +110,10 @@ def task_for(
     Return the task of a condition, or of a rule where there is one, with the thresholds of its
     suggestions, checked, and what decides in the rule's place.
 
-    `thresholds` apply only to C2 and C3, where those of the person, if any, are the usual ones.
+    `thresholds` apply only to C2 and C3, where those of the driver, if any, are the usual ones.
     bed: further fields of the task.
     """
-    operator, model, usual = person
+    operator, model, usual = driver
     task = Task(SCHEDULE, r0=operator.r0, **bed).suggesting(model)
     if rule is not None:
         rule, mode = prepared_rule(rule, None)
@@ -218,9 +221,7 @@ def begin(task, person, state, rng):
     state.r = task.r0
     state.mode = task.first_mode
     state.episode_seen = -1e9
-    state.suggested = -1
-    state.decided = -1
-    state.episode = -1
+    state.suggested = state.decided = state.episode = -1
     draw_thresholds(task, person, state, rng)
 
 
@@ -242,12 +243,11 @@ def measure(task, k, z_r, z_h, state):
     Move performance as measured, (2.4) and (2.7), to the window that ends at sample k, and TSC
     (2.1) with it.
     """
-    state.sum_r, state.sum_h = state.sum_r + z_r[k], state.sum_h + z_h[k]
+    state.sum_r += z_r[k]
+    state.sum_h += z_h[k]
     if k >= task.window:
-        state.sum_r, state.sum_h = (
-            state.sum_r - z_r[k - task.window],
-            state.sum_h - z_h[k - task.window],
-        )
+        state.sum_r -= z_r[k - task.window]
+        state.sum_h -= z_h[k - task.window]
     used = min(k + 1, task.window)
     state.p_r = state.sum_r / used  # (2.4)
     state.p_h = state.sum_h / used  # (2.7)
@@ -303,15 +303,14 @@ def consider(task, person, t, state, rng):
         suggest(task, state)
         follow = person.follow_tsc if task.scheme == TSC else person.follow_performance
     if state.suggested == state.mode:
-        state.decided, state.episode = -1, -1
+        state.decided = state.episode = -1
     elif state.suggested >= 0:
         if state.suggested != state.episode or t - state.episode_seen > DEADLINE:
             state.willing = task.forced or rng.random() < follow
             late = reaction(person, state.suggested, rng)
             if not state.willing:
                 late += DEADLINE + person.ignoring_time * rng.standard_exponential()
-            state.episode = state.suggested
-            state.decided = state.suggested
+            state.decided = state.episode = state.suggested
             state.due = t + late
         state.episode_seen = t
 

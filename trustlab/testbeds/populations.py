@@ -19,7 +19,6 @@ from trustlab.models.checks import (
     whole_seed,
 )
 from trustlab.models.published import printed_pilot, published_table
-from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import (
     Operator,
     checked_assumptions,
@@ -33,7 +32,7 @@ from trustlab.operators.teleoperator import (
     Teleoperator,
     assumed,
 )
-from trustlab.testbeds.deciding import SAMPLE_TIME
+from trustlab.testbeds.deciding import SAMPLE_TIME, Driver
 
 # Mixed into the seed, so that people and their runs have different streams.
 TELEOPERATORS = 0x70656F70
@@ -106,16 +105,14 @@ def printed_people() -> pd.DataFrame:
     return people.assign(participant=people.index)
 
 
-def person_among(
-    people: pd.DataFrame, participant: int | str
-) -> tuple[Operator, TscModel, tuple[float, float]]:
+def person_among(people: pd.DataFrame, participant: int | str) -> Driver:
     """Return operator, model and thresholds of TSC of someone by the index of a table of people."""
     name = str(participant).strip().lower().removesuffix(".0")
     label = one_of("participant", name, people.index, "an Operator with model=")
     return person_of(people.loc[label])
 
 
-def printed_person(participant: int | str) -> tuple[Operator, TscModel, tuple[float, float]]:
+def printed_person(participant: int | str) -> Driver:
     """Return the operator, the model and the thresholds of TSC that are printed of someone."""
     return person_among(printed_people(), participant)
 

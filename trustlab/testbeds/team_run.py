@@ -170,39 +170,29 @@ class TeamRun(Result):
         """
         force = self.data[FORCE].to_numpy()
         return {
-            "time": self.time_to_goal if self.converged else float(self.t[-1]),
+            "time": self.time_to_goal if self.converged else self.t[-1],
             "arrived": float(self.converged),
-            "distance": float(self.farthest.mean()),
-            "force": float(np.sqrt((force**2).sum(axis=1).mean())),
-            "work": float(self.data["supply_hand"].iloc[-1]),
-            "trust": float(self.session["trust_hr"].mean()),
+            "distance": self.farthest.mean(),
+            "force": np.sqrt((force**2).sum(axis=1).mean()),
+            "work": self.data["supply_hand"].iloc[-1],
+            "trust": self.session["trust_hr"].mean(),
             "switches": float(len(self.switches)),
         }
 
     def _repr_html_(self) -> str:
         return as_html(self.message, pd.DataFrame([self.measures]), title=self.title)
 
-    def plot(self, axes=None):
+    def plot(self):
         """
         Plot distances to the goal, who leads, the force that the operator feels, and the storage
         functions.
 
-        Parameters
-        ----------
-        axes : sequence of four matplotlib.axes.Axes, optional
-            Where, in this order; a new figure when not given.
-
         Returns
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (4,)
-
-        Raises
-        ------
-        ValueError
-            If there are not four axes.
         """
-        axes = axes_or_new(axes, 4, title=self.title, sharex=True, figsize=(8.0, 8.4))
-        distance, leader, force, energy = np.ravel(axes)
+        axes = axes_or_new(None, 4, title=self.title, sharex=True, figsize=(8.0, 8.4))
+        distance, leader, force, energy = axes
         t, data = self.t, self.data
         distance.semilogy(t, np.maximum(self.distances, 1e-9), lw=0.8, color="C0", alpha=0.6)
         distance.axhline(self.tolerance, color="0.4", ls="--", lw=0.8)
@@ -218,4 +208,4 @@ class TeamRun(Result):
         energy.set(ylabel="energy [J]", xlabel="time [s], logarithmic from 2 s on", xlim=t[[0, -1]])
         for axis in (force, energy):
             axis.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
-        return np.ravel(axes)
+        return axes

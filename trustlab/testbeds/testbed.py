@@ -26,7 +26,14 @@ from trustlab.operators.ground_robot import Operator, person_of
 from trustlab.teleoperation.loop.settings import SCHEMES
 from trustlab.testbeds import deciding, uav_following as flight
 from trustlab.testbeds.condition_run import ConditionRun
-from trustlab.testbeds.deciding import CONDITIONS, KNOWN, SAMPLE_TIME, Task, checked_rules
+from trustlab.testbeds.deciding import (
+    CONDITIONS,
+    KNOWN,
+    SAMPLE_TIME,
+    Driver,
+    Task,
+    checked_rules,
+)
 from trustlab.testbeds.ground_robot import kernel as ground
 from trustlab.testbeds.ground_robot.course import Course, default_course
 from trustlab.testbeds.ground_robot.pioneer import Pioneer
@@ -218,7 +225,7 @@ class ConditionTestbed(Checked, Testbed):
     def conducted(
         self,
         condition: str | None,
-        person: tuple[Operator, TscModel, tuple[float, float] | None],
+        driver: Driver,
         seed: Seed,
         thresholds: tuple[float, float] | None = None,
         rule: Any = None,
@@ -230,13 +237,13 @@ class ConditionTestbed(Checked, Testbed):
         ----------
         condition, seed, thresholds, rule : object
             As for `run_condition`; with a rule, the condition is a name for the metadata.
-        person : (Operator, TscModel, (float, float) or None)
+        driver : (Operator, TscModel, (float, float) or None)
             The operator who drives, the model that rules and suggestions use, and the thresholds of
             suggestions where `thresholds` are not given.
         """
-        operator, model, _ = person
+        operator, model, _ = driver
         task, thresholds, decide = deciding.task_for(
-            condition, rule, person, thresholds, e_max=self.module.E_MAX, laps=self.laps
+            condition, rule, driver, thresholds, e_max=self.module.E_MAX, laps=self.laps
         )
         length = self.setting_names[0]
         facts = {length: getattr(self, length), "settling": deciding.SETTLING} | self.module.FACTS
@@ -503,9 +510,9 @@ def run_condition(
         who = of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
     if not isinstance(who, Operator):
         who, own, usual = person_among(bed.numbered(), who)
-    person = who, of_class("model", own if model is None else model, TscModel), usual
+    model = of_class("model", own if model is None else model, TscModel)
     if r0 is not None:
-        person = replace(who, r0=r0), *person[1:]
+        who = replace(who, r0=r0)
     if rule is not None:
         if condition is not None or thresholds is not None:
             raise ValueError(
@@ -513,6 +520,6 @@ def run_condition(
                 "out"
             )
         condition = f"rule {type(rule).__name__}"
-    run = bed.conducted(condition, person, seed, thresholds, rule)
+    run = bed.conducted(condition, (who, model, usual), seed, thresholds, rule)
     deciding.warn_if_too_short(run.log.size * SAMPLE_TIME)
     return run

@@ -5,9 +5,9 @@ testbed of Fig. 2.10.
 One step of operator, allocation, autopilot and vehicle every tenth of a second.
 """
 
+from collections import namedtuple
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -74,31 +74,13 @@ FLIGHT = record(
 )
 
 
-class FlightSetup(NamedTuple):
-    """
-    What stays the same in all samples; `flight` is a record of FLIGHT, `person` an operator's
-    numbers, the leader's position and velocity have shape (N,).
-    """
+# What stays the same in all samples; `flight` is a record of FLIGHT, `person` an operator's
+# numbers, the leader's position and velocity have shape (N,).
+FlightSetup = namedtuple("FlightSetup", "task flight person position velocity")
 
-    task: Task
-    flight: np.void
-    person: Any
-    position: np.ndarray
-    velocity: np.ndarray
-
-
-class FlightState(NamedTuple):
-    """
-    What samples hand on: one record of STATE, the noise of sensing, of the hand and of decisions,
-    and performance in each sample.
-    """
-
-    now: np.ndarray
-    sensing: np.random.Generator
-    hand: np.random.Generator
-    choices: np.random.Generator
-    z_r: np.ndarray
-    z_h: np.ndarray
+# What samples hand on: one record of STATE, the noise of sensing, of the hand and of decisions, and
+# performance in each sample.
+FlightState = namedtuple("FlightState", "now sensing hand choices z_r z_h")
 
 
 @inner

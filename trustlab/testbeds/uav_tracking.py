@@ -170,9 +170,8 @@ class TeleoperationLoop(Loop):
     ----------
     scheme : {"M", "MI", "MMI", "TMIG", "TMIS", "OMI"} or Scheme
         Who sets the scales.
-    operator : Teleoperator or callable, optional
-        Who holds the device; an average one when not given. A function is the law of an average
-        one: see `Teleoperator.law`.
+    operator : Teleoperator, optional
+        Who holds the device; an average one when not given.
     study : {"preliminary", "main"} or LoopSettings
         Printed settings, or own ones. Task, delays and reach of the operator are those of the study
         that `LoopSettings.study` names, where they are not given.
@@ -196,10 +195,9 @@ class TeleoperationLoop(Loop):
         What comes from outside, a row for each sample, NaN where the loop decides: `alpha`, `beta`,
         `trust_hr`, `trust_rh`, shape (N,); `u_a`, `wanted`, `guiding`, `robot`, `velocity` and
         `hand`, where a hand wants the device to be [m], shape (N, 3); units as of the functions
-        that they replace. Without NaN: `push`, a force [N] added to the hand's, shape (N, 3), and
-        `arrives`, bool of shape (N, 2), whether the waves sent to the robot and back in a sample
-        arrive. `decisions` of another loop repeats its run without its functions, with the same
-        seed, task, delays, settings, guidance and operator, whose hand moves and shakes as it did.
+        that they replace. Without NaN: `push`, a force [N] added to the hand's, shape (N, 3).
+        `decisions` of another loop repeats its run without its functions, with the same seed, task,
+        delays, settings, guidance and operator, whose hand moves and shakes as it did.
 
     Attributes
     ----------
@@ -228,7 +226,7 @@ class TeleoperationLoop(Loop):
     def __init__(
         self,
         scheme: str | Scheme = "TMIG",
-        operator: Teleoperator | Callable | None = None,
+        operator: Teleoperator | None = None,
         study: str | LoopSettings = "main",
         seed: Seed = 0,
         duration: float = 120.0,
@@ -245,8 +243,6 @@ class TeleoperationLoop(Loop):
         study = self.settings.study
         if operator is None:
             operator = Teleoperator(reach=REACH[study])
-        elif callable(operator):
-            operator = Teleoperator(law=operator)
         self.operator = of_class("operator", operator, Teleoperator)
         self.task = of_class("task", TASKS[study] if task is None else task, TrackingTask)
         trust = TrustInLoop.of(trust)
@@ -258,7 +254,7 @@ class TeleoperationLoop(Loop):
         given = checked_signals(signals, count, self._bounds)
         if not self.scheme.bilateral:
             idle = [name for name in ("force", "budget") if getattr(self.guidance, name)]
-            for name in [*idle, *given.keys() & {"guiding", "arrives"}]:
+            for name in [*idle, *given.keys() & {"guiding"}]:
                 raise ValueError(
                     f"{name} would do nothing in scheme {self.scheme.name}: no force comes back"
                 )
@@ -272,17 +268,14 @@ class TeleoperationLoop(Loop):
             share = compiled_for(optimal_share, numbers, whole)
             hooks["scheme"] = lambda view: (share(numbers, whole), view.beta_max)
         inputs = drawn(self.settings, self.task, self.operator, count + 1, seeds)
-        arrives = np.ones((2, count), bool)
         for name, signal in given.items():
-            if name == "arrives":
-                arrives[:] = signal.T
-            else:
-                inputs[name][:-1] = signal
+            inputs[name][:-1] = signal
         # Inputs and delays have a row more than the log: padding, for a pause that nobody uses.
         follows_error = self.guidance.where == "through_channel"
         names = {"alpha", *given}
         decide = asking(hooks, self.state, whole, names, self._bounds, follows_error)
-        setup = LoopSetup(numbers, np.pad(delays, ((0, 0), (0, 1)), "edge"), arrives)
+        delays = np.pad(delays, ((0, 0), (0, 1)), "edge")
+        setup = LoopSetup(numbers, delays, np.ones((2, count), bool))
         self.simulation = Simulation(
             teleoperate,
             setup,
@@ -326,11 +319,11 @@ class TeleoperationLoop(Loop):
         late = max(round(task.camera_delay / T), 1)
         # what a function sets stays until it is asked again
         flies: dict[str, Any] = {"phi": np.eye(3)}
-        if "vehicle" not in hooks:
-            axes = three_axes(task.vehicle)
+        axes = None if "vehicle" in hooks else three_axes(task.vehicle)
+        if axes:
             flies["phi"], flies["gamma"] = vehicle_matrices(axes, T)
         if shares == "optimal":
-            if "vehicle" in hooks:
+            if not axes:
                 raise ValueError(
                     "scheme OMI predicts with three TransferFunction: give the vehicle as these"
                 )
@@ -416,9 +409,7 @@ class TeleoperationLoop(Loop):
             if not np.isnan(inputs[name]).all()
         }
         for name in {"trust_hr", "trust_rh"} & {*signals}:  # nobody is asked for it at the start
-            signals[name][:1] = self.simulation.log[name][: min(run.done, 1)]
-        if self.scheme.bilateral:
-            signals["arrives"] = run.setup.arrives[:, : run.done].T.copy()
+            signals[name][:1] = run.log[name][: min(run.done, 1)]
         return signals
 
     def so_far(self) -> Session:
@@ -448,7 +439,7 @@ class TeleoperationLoop(Loop):
 
 def simulate_teleoperation(
     scheme: str | Scheme = "TMIG",
-    operator: Teleoperator | Callable | None = None,
+    operator: Teleoperator | None = None,
     study: str | LoopSettings = "main",
     seed: Seed = 0,
     duration: float = 120.0,
@@ -506,7 +497,7 @@ def checked_signals(signals: Any, count: int, bounds: Mapping) -> dict[str, np.n
     """Return what comes from outside as arrays by name, checked."""
     if not isinstance(signals, Mapping | None):
         raise ValueError(f"signals must map names to arrays, got {shown(signals)}")
-    shapes = {name: INPUT[name].shape for name in ("push", *DECIDED.names)} | {"arrives": (2,)}
+    shapes = {name: INPUT[name].shape for name in ("push", *DECIDED.names)}
     checked = {}
     for name, values in (signals or {}).items():
         shape = (count, *shapes[one_of("a name in signals", name, shapes)])

@@ -13,6 +13,7 @@ given.
 """
 
 import math
+from collections import namedtuple
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -42,7 +43,6 @@ from trustlab.testbeds.deciding import (
 )
 from trustlab.testbeds.ground_robot.course import (
     Course,
-    CourseNumbers,
     angle_of,
     default_course,
     direction,
@@ -106,30 +106,12 @@ def rates_of(person: Any, robot: Any, dt: float) -> Rates:
     return Rates(stays, shakes, new_wander, new_shaking, grip=1.0 - lags, anchor=1.0 - drifts)
 
 
-class DriveSetup(NamedTuple):
-    """What stays the same in all samples; robot and person are numbers of theirs."""
+# What stays the same in all samples; robot and person are numbers of theirs.
+DriveSetup = namedtuple("DriveSetup", "task course robot person rates")
 
-    task: Task
-    course: CourseNumbers
-    robot: Any
-    person: Any
-    rates: Rates
-
-
-class DriveState(NamedTuple):
-    """
-    What samples hand on: one record of STATE, the noise of sensing, of the hand and of decisions,
-    what is kept of each sample, and when laps ended [s].
-    """
-
-    now: np.ndarray
-    sensing: np.random.Generator
-    hand: np.random.Generator
-    choices: np.random.Generator
-    arc: np.ndarray
-    z_r: np.ndarray
-    z_h: np.ndarray
-    lap_times: np.ndarray
+# What samples hand on: one record of STATE, the noise of sensing, of the hand and of decisions,
+# what is kept of each sample, and when laps ended [s].
+DriveState = namedtuple("DriveState", "now sensing hand choices arc z_r z_h lap_times")
 
 
 @inner
@@ -142,7 +124,7 @@ def limited(command, now, largest, step):
 
 
 @inner
-def operate(task, person, robot, rates, before, arc, course, state, hand):
+def operate(setup, before, arc, state, hand):
     """
     Move the operator's hand: it acts on where the robot was a delay ago (`before`, a row of the
     log, at arc length `arc`).
@@ -150,12 +132,13 @@ def operate(task, person, robot, rates, before, arc, course, state, hand):
     Skill follows utilization, (2.5)-(2.6); wander about the path and shaking of the hand are
     coloured noise.
     """
-    skill = skill_now(task, person, state)
+    person, robot, rates = setup.person, setup.robot, setup.rates
+    skill = skill_now(setup.task, person, state)
     speed, spread, activity = driving_style(skill, person.robot_floor, person.robot_gain)
     state.wander = rates.stays * state.wander + rates.new_wander * hand.standard_normal()
     state.shaking = rates.shakes * state.shaking + rates.new_shaking * hand.standard_normal()
     if arc >= 0.0:
-        point, tangent = path_point(arc + person.look_ahead, course)
+        point, tangent = path_point(arc + person.look_ahead, setup.course)
         aside = person.noise * spread * state.wander
         aim = point + 1j * aside * tangent - complex(before.robot_x, before.robot_y)
         bearing = wrapped(angle_of(aim) - before.yaw)
@@ -254,17 +237,16 @@ def roll(robot, anchor, dt, course, state, sensing):
 @inner(_nrt=False)
 def sense(k, setup, state, log):
     """Come to the pause of sample k: locate the robot, move the hand, measure performance."""
-    task, person = setup.task, setup.person
-    now, row = state.now[0], log[k]
+    task, now, row = setup.task, state.now[0], log[k]
     dt = task.sample_time
     if locate(setup.course, k, row, now) and now.laps <= state.lap_times.size:
         state.lap_times[now.laps - 1] = k * dt
     state.arc[k] = now.arc
-    delay = round(person.delay / dt)
+    delay = round(setup.person.delay / dt)
     seen = max(k - delay, 0)
     # at first nothing has been seen yet
     arc = state.arc[seen] if k >= delay else -1.0
-    operate(task, person, setup.robot, setup.rates, log[seen], arc, setup.course, now, state.hand)
+    operate(setup, log[seen], arc, now, state.hand)
     perform(task, k, state.z_r, state.z_h, row, now)
 
 
