@@ -51,10 +51,11 @@ def condition_measures(log: Any, t: np.ndarray, lap_times: Any = None) -> dict[s
     `ConditionRun.measures`; answers, which people give themselves, are not among them.
     """
     mode = log["mode"]
-    measures: dict[str, float] = {name: float(log[name].mean()) for name in MEANS}
-    measures["manual_share"] = float(mode.mean())
-    measures["switches"] = int(np.count_nonzero(np.diff(mode)))
-    measures["duration"] = float(t[-1] - t[0])
+    measures: dict[str, float] = {name: float(log[name].mean()) for name in MEANS} | {
+        "manual_share": float(mode.mean()),
+        "switches": int(np.count_nonzero(np.diff(mode))),
+        "duration": float(t[-1] - t[0]),
+    }
     if lap_times is not None:
         measures["speed"] = float(log["step_distance"].mean()) / SAMPLE_TIME
         measures["laps"] = int(lap_times.size)

@@ -36,11 +36,9 @@ CONDITIONS = {
     "C5": (PERFORMANCE, True),
 }
 
-# Controls, suggestions forced, that tell better thresholds from being relieved of deciding: "own",
-# by the thresholds that the operator's switches in C1 show; "random", at random times.
-CONTROLS = {"own": (TSC, True), "random": (RANDOM, True)}
-
-KNOWN = CONDITIONS | CONTROLS
+# Besides, controls, suggestions forced, that tell better thresholds from the relief of deciding:
+# "own", by the thresholds that the operator's switches in C1 show; "random", at random times.
+KNOWN = CONDITIONS | {"own": (TSC, True), "random": (RANDOM, True)}
 
 # Mean length of the phases of "random" [s]: the UAV is flown by hand about as long as in C1.
 RANDOM_PHASE = 60.0

@@ -209,8 +209,6 @@ class TeamLoop(Loop):
         self._decisions = int(np.ceil(duration / self._step)) + 1
         self.simulation = self._begin(per_decision, begins, *faults)
         self.state = View(self.simulation.state.shown)
-        model = settings.human_to_robot
-        self._rates = model.decay(self._step), model.b / model.a
         # Human-to-robot trust, as a share of its range.
         self._share = np.full(len(self.robots), driver.start if driver else 0.5)
         self._courses = [TrustCourse(driver, self._step) for _ in self.robots] if driver else []
@@ -266,8 +264,8 @@ class TeamLoop(Loop):
         start = begins.uniform(-5.0, 5.0, shape)
         if trial.start is not None:
             start = trial.start
-            if start.shape != shape:
-                raise ValueError(f"start must have shape {shape}, got {start.shape}")
+        if start.shape != shape:
+            raise ValueError(f"start must have shape {shape}, got {start.shape}")
         distance = start - self._goal
         draws = losses.random((count, 2)).T  # by these numbers packets are lost
         noise = coloured(self._decisions, 3 * robots.size, DRIFT_TIME, self._step, drifts)
@@ -447,7 +445,9 @@ class TeamLoop(Loop):
             judged = zip(self._courses, performance, strict=True)
             self._share = np.array([course.step(value) for course, value in judged])
         else:
-            after = trust_step.py_func(self._share, performance, *self._rates)  # (4.1)
+            model = self._settings.human_to_robot
+            rates = model.decay(self._step), model.b / model.a
+            after = trust_step.py_func(self._share, performance, *rates)  # (4.1)
             self._share = np.where(np.isnan(performance), self._share, after)
 
     def _able(self) -> list:
@@ -490,7 +490,6 @@ class TeamLoop(Loop):
         rows = np.arange(0, self._done, self._trial.samples_per_row)
         graphs = run.inputs["graph"][rows]
         states = run.log.table[: rows.size].view(float).reshape(rows.size, -1)
-        table = states[:, : len(kernel.COLUMNS)].copy()
         t = pd.Index(np.round(T * rows, 9), name="t")
         present = np.array([graph.present for graph in self._graphs])[graphs]
         facts = {
@@ -509,7 +508,7 @@ class TeamLoop(Loop):
         return TeamRun(
             self.robots,
             self._goal,
-            pd.DataFrame(table, t, list(kernel.COLUMNS)),
+            pd.DataFrame(states[:, : len(kernel.COLUMNS)].copy(), t, list(kernel.COLUMNS)),
             self._placed(run.log.places[: rows.size], present),
             np.array(self._levels)[rows // run.every],
             np.round(T * (np.flatnonzero(np.diff(run.inputs["lead"][: run.done])) + 1), 9),

@@ -57,7 +57,8 @@ LOG = record(
 )
 
 # What a step reads and leaves. Of the hand what it has made of what it saw, where it wanders and
-# how it shakes; drift: how far beside the leader the autopilot believes it to be.
+# how it shakes; drift: how far beside the leader the autopilot believes it to be, in units of
+# FLIGHT's drift.
 STATE = record(
     planar="position velocity acceleration hand wander shake drift",
     numbers=NUMBERS,
@@ -136,10 +137,8 @@ def fly(flight, row, now, sensing):
         now.drift = flight.keeps_anchor * now.drift
         u = row.u_h
     else:
-        spread = flight.drift * np.sqrt(1.0 - flight.keeps_drift**2)
-        fresh = complex(sensing.standard_normal(), sensing.standard_normal())
-        now.drift = flight.keeps_drift * now.drift + spread * fresh
-        u = row.u_i + GAIN * now.drift
+        now.drift = noise(now.drift, flight.keeps_drift, sensing)
+        u = row.u_i + GAIN * flight.drift * now.drift
     v, a = now.velocity, now.acceleration
     moves, driven = flight.moves, flight.driven
     now.position += SAMPLE_TIME * v

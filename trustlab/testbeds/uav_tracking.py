@@ -293,8 +293,8 @@ class TeleoperationLoop(Loop):
         if is_state_space(vehicle):
             vehicle = state_space(*vehicle)
         if isinstance(trust, TrustInLoop):
-            ranges = settings.human_to_robot, settings.robot_to_human
-            trust = trust.part(*ranges, settings.sample_time)
+            models = settings.human_to_robot, settings.robot_to_human
+            trust = trust.part(*models, settings.sample_time)
         if trust is not None:
             function("trust", trust)
         hooks = {

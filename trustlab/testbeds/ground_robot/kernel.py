@@ -155,11 +155,10 @@ def operate(setup, before, arc, state, hand):
 @inner
 def place(course, robot, dt, state):
     """Put the robot on the path, rolling."""
-    state.place, tangent = path_point(0.0, course)
+    start, tangent = path_point(0.0, course)
+    state.place = state.est = start
     state.yaw = angle_of(tangent)
-    state.v = robot.cruise_speed
-    state.v_hand = robot.cruise_speed
-    state.est = state.place
+    state.v = state.v_hand = robot.cruise_speed
     state.moved = state.v * dt
 
 
