@@ -36,7 +36,6 @@ from trustlab.testbeds.deciding import (
 )
 from trustlab.testbeds.ground_robot import kernel as ground
 from trustlab.testbeds.ground_robot.course import Course, default_course
-from trustlab.testbeds.ground_robot.pioneer import Pioneer
 from trustlab.testbeds.populations import (
     OperatorPopulation,
     TeleoperatorPopulation,
@@ -303,7 +302,7 @@ class GroundRobot(ConditionTestbed):
     setting_names = ("laps", "rest")
 
     laps: int = 8  # type: ignore[misc]  # of other testbeds a constant
-    robot: Pioneer = field(default_factory=Pioneer)
+    robot: ground.Pioneer = field(default_factory=ground.Pioneer)
     course: Course = field(default_factory=default_course)
 
     def __post_init__(self):

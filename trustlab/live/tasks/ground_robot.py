@@ -45,13 +45,14 @@ from trustlab.testbeds.ground_robot.kernel import (
     E_MAX,
     LOG,
     SLOWEST,
+    Pioneer,
+    PioneerNumbers,
     enter,
     locate,
     perform,
     place,
     roll,
 )
-from trustlab.testbeds.ground_robot.pioneer import Pioneer, PioneerNumbers
 from trustlab.testbeds.populations import printed_person
 
 DRIVES = {**CONDITIONS, "training": (OWN, False), "identification": (SCHEDULE, False)}
