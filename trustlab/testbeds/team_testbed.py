@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -89,10 +90,14 @@ class RobotTeam(Checked):
         super().__post_init__()
         robots = tuple(list_of("robots", self.robots))
         graph = ring(len(robots)) if self.graph is None else self.graph
-        blocks = replace(TeamSettings.scaled(graph, 40.0), robots=robots)
-        blocks.per_robot(len(team_graph(graph)[0]))  # refused if they are too few
         conditions = checked_rules(self.rules, POLICIES)
-        self.__dict__.update(robots=robots, graph=graph, blocks=blocks, conditions=conditions)
+        self.__dict__.update(robots=robots, graph=graph, conditions=conditions)
+        self.blocks.per_robot(len(team_graph(graph)[0]))  # refused if they are too few
+
+    @cached_property
+    def blocks(self) -> TeamSettings:
+        """Device, channel, trust and gains of every run."""
+        return replace(TeamSettings.scaled(self.graph, 40.0), robots=self.robots)
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -79,7 +79,7 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
     for number, run in enumerate(runs):
         about = of_class(f"sessions[{number}]", run, Session).metadata
         names = {"participant": about.participant, "scheme": about.condition}
-        rows.append(names | {"synthetic": about.synthetic} | measures_of(run))
+        rows.append({**names, "synthetic": about.synthetic, **measures_of(run)})
     frame = pd.DataFrame(rows)
     if any(run.metadata.synthetic for run in runs):
         frame.attrs["origin"] = "simulated operators"

@@ -158,6 +158,8 @@ class ConditionTestbed(Checked, Testbed):
         If a setting is out of range or the population is of another testbed.
     """
 
+    name: ClassVar[str]
+    title: ClassVar[str]
     module: ClassVar[Any]  # with E_MAX and FACTS
     numbered: ClassVar[Callable]  # returns the people who go by a number or a name
     laps: ClassVar[int] = 0
