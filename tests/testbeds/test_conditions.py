@@ -56,8 +56,7 @@ def test_log_suggestions_and_measures_agree_with_models_and_rules(bed, condition
     if bed == "ground_robot" and condition != "C1":
         assert {0.0, 1.0} <= set(expected)
     if forced:
-        states = tl.followed_suggestions(session)["state"]
-        assert set(states) <= {"followed", "open", "withdrawn"}
+        assert set(run.suggestions()["state"]) <= {"followed", "open", "withdrawn"}
 
     assert measures["p_r"] == session["p_r"].mean()
     assert measures["switches"] == np.abs(np.diff(session["mode"])).sum()

@@ -100,7 +100,7 @@ def test_random_suggestions_come_at_random_times_and_cost_no_attention():
 
 
 def test_taking_over_late_delays_the_manual_mode_alone():
-    late = tl.followed_suggestions(run("C3", take_over_lag=5.0, reaction_lag=0.0).session)
+    late = run("C3", take_over_lag=5.0, reaction_lag=0.0).suggestions()
     delays = {mode: part["delay"].dropna() for mode, part in late.groupby("suggested_mode")}
     assert delays[0.0].max() <= 0.1
     assert delays[1.0].between(5.0, 5.2).all()

@@ -193,9 +193,11 @@ def test_a_session_is_a_run_of_the_team():
 
 
 def test_robots_of_a_testbed_are_given_once_and_fit_their_graph():
+    with refused("robots of blocks would do nothing: give robots="):
+        RobotTeam(blocks=TeamSettings(robots=DEAF))
     with refused("robots has 4 entries for 5 robots"):
         RobotTeam(graph=nx.cycle_graph(5))
-    two = RobotTeam(robots=SOUND[:2])
+    two = RobotTeam(robots=SOUND[:2], blocks=TeamSettings())
     assert_array_equal(two.graph, [[0.0, 1.0], [1.0, 0.0]])
 
 

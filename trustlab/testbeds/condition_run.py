@@ -13,6 +13,7 @@ import pandas as pd
 from trustlab.allocation.estimates import (
     FOLLOWED,
     NOT_FOLLOWED,
+    followed_suggestions,
     suggestion_episodes,
 )
 from trustlab.models.display import Result
@@ -30,6 +31,13 @@ from trustlab.testbeds.deciding import (
     sample_times,
 )
 
+# Panels of the figure of a run, by column.
+PANELS = {
+    "p_r": "robot performance\n$P_r$",
+    "r": "human utilization\n$r$",
+    "p_h": "human performance\n$P_h$",
+    "tsc": "TSC",
+}
 MEANS = ("p_r", "p_h", "r", "tsc", "path_error")
 
 
@@ -91,12 +99,22 @@ class ConditionRun(Result):
     thresholds: tuple[float, float] | None
     lap_times: np.ndarray | None = None
 
-    title = "Simulated run"
+    @property
+    def title(self) -> str:
+        """Which testbed."""
+        return "UAV that follows a leader" if self.lap_times is None else "Ground-robot run"
 
     @cached_property
     def session(self) -> Session:
         """The log as a session."""
         return Session(framed(self.log), self.metadata)
+
+    def suggestions(self) -> pd.DataFrame:
+        """
+        Return the suggestions shown: columns start [s], suggested_mode, delay [s], followed, state
+        (`followed_suggestions`).
+        """
+        return followed_suggestions(self.session, DEADLINE)
 
     @property
     def measures(self) -> dict[str, float]:
@@ -141,7 +159,10 @@ class ConditionRun(Result):
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (4,)
         """
-        axes = self.session.plot(["p_r", "r", "p_h", "tsc"])
+        axes = self.session.plot([*PANELS])
+        unit = "" if self.lap_times is None else " [m/s]"  # performance of the UAV is a share
+        for panel, (name, label) in zip(axes, PANELS.items(), strict=True):
+            panel.set_ylabel(label + unit * name.startswith("p_"))
         for threshold in self.thresholds or ():
             axes[-1].axhline(threshold, ls="--", lw=1.0, color="C1")
         return axes

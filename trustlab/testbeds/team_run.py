@@ -182,16 +182,27 @@ class TeamRun(Result):
     def _repr_html_(self) -> str:
         return as_html(self.message, pd.DataFrame([self.measures]), title=self.title)
 
-    def plot(self):
+    def plot(self, axes=None):
         """
         Plot distances to the goal, who leads, the force that the operator feels, and the storage
         functions.
 
+        Parameters
+        ----------
+        axes : sequence of four matplotlib.axes.Axes, optional
+            Where, in this order; a new figure when not given.
+
         Returns
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (4,)
+
+        Raises
+        ------
+        ValueError
+            If there are not four axes.
         """
-        axes = axes_or_new(None, 4, title=self.title, sharex=True, figsize=(8.0, 8.4))
+        axes = axes_or_new(axes, 4, title=self.title, sharex=True, figsize=(8.0, 8.4))
+        axes = np.ravel(axes)
         distance, leader, force, energy = axes
         t, data = self.t, self.data
         distance.semilogy(t, np.maximum(self.distances, 1e-9), lw=0.8, color="C0", alpha=0.6)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import pandas as pd
 from trustlab.models.checks import Checked, Positive, Seed, list_of, spawned
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.teleoperation.team.decisions import POLICIES, policy_named
-from trustlab.teleoperation.team.graphs import team_graph
+from trustlab.teleoperation.team.graphs import graphs_in_time
 from trustlab.teleoperation.team.settings import TeamOperator, TeamRobot, TeamSettings, TeamTrial
 from trustlab.testbeds.deciding import checked_rules
 from trustlab.testbeds.populations import drawn_people
@@ -50,12 +49,14 @@ class RobotTeam(Checked):
     Parameters
     ----------
     graph : array_like, shape (N, N), or networkx.Graph, optional
-        Who sees whom, undirected; a ring of as many as `robots` when not given. Gains are such
-        that the team arrives within some 40 s.
+        Who sees whom; a ring of as many as `robots` when not given.
     robots : sequence of TeamRobot
         What robots make of (4.22).
     duration : float
         Length of each run [s].
+    blocks : TeamSettings, optional
+        Device, channel, trust and gains, without robots; gains with which such a team arrives
+        within some 40 s when not given; needed for a directed graph.
     rules : mapping of str to callable, optional
         Conditions of one's own by name: what makes the policy, called for each run.
 
@@ -84,6 +85,7 @@ class RobotTeam(Checked):
     graph: Any = None
     robots: tuple[TeamRobot, ...] = ABILITIES
     duration: Positive = 120.0
+    blocks: TeamSettings | None = None
     rules: Mapping[str, Callable] = field(default_factory=dict)
 
     def __post_init__(self):
@@ -91,13 +93,12 @@ class RobotTeam(Checked):
         robots = tuple(list_of("robots", self.robots))
         graph = ring(len(robots)) if self.graph is None else self.graph
         conditions = checked_rules(self.rules, POLICIES)
-        self.__dict__.update(robots=robots, graph=graph, conditions=conditions)
-        self.blocks.per_robot(len(team_graph(graph)[0]))  # refused if they are too few
-
-    @cached_property
-    def blocks(self) -> TeamSettings:
-        """Device, channel, trust and gains of every run."""
-        return replace(TeamSettings.scaled(self.graph, 40.0), robots=self.robots)
+        settings = TeamSettings.scaled(graph, 40.0) if self.blocks is None else self.blocks
+        blocks = replace(settings, robots=robots)
+        if settings.robots not in (TeamSettings.robots, blocks.robots):
+            raise ValueError("the robots of blocks would do nothing: give robots=…")
+        blocks.per_robot(len(graphs_in_time(graph, True)[0]))  # refused if they are too few
+        self.__dict__.update(robots=robots, graph=graph, blocks=blocks, conditions=conditions)
 
     @property
     def settings(self) -> dict[str, Any]:

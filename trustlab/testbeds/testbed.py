@@ -466,7 +466,8 @@ def run_condition(
     Returns
     -------
     ConditionRun
-        With `.session`, `.measures` and `.plot()`; of the ground robot with `.lap_times` besides.
+        With `.session`, `.measures`, `.suggestions()` and `.plot()`; of the ground robot with
+        `.lap_times` besides.
 
     Raises
     ------
