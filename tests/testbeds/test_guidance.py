@@ -45,14 +45,14 @@ def taken_at_random(guidance, seed, seconds):
         reach=2.0,
     )
     delay = tuple(jitter(int(walk), late) for walk, late in zip(walks, most, strict=True))
-    arrives = rng.uniform(size=(count, 2)) >= 0.5
-    push = rng.normal(size=(count, 3)) * rng.uniform(0.0, 3.0)
-    parts = {"delay": delay, "guidance": guidance, "signals": {"push": push}}
+    signals = {
+        "arrives": rng.uniform(size=(count, 2)) >= 0.5,
+        "push": rng.normal(size=(count, 3)) * rng.uniform(0.0, 3.0),
+    }
+    parts = {"delay": delay, "guidance": guidance, "signals": signals}
     scheme = (SWITCHING, "TMIS", "TMIG", "MMI")[seed % 4]
-    loop = tl.TeleoperationLoop(scheme, who, study, seed, seconds, **parts)
-    loop.simulation.setup.arrives[:] = arrives.T
     try:
-        run = loop.run()
+        run = simulate_teleoperation(scheme, who, study, seed, seconds, **parts)
     except DivergenceError as error:
         run = error.session
     given = T * power(run, "r_m", "f_m")

@@ -76,7 +76,7 @@ def test_a_run_is_repeated_from_its_decisions_without_functions_or_hands(guidanc
     rng = np.random.default_rng()
     loop = TeleoperationLoop(
         Scheme("mine", lambda s: (rng.uniform(s.alpha_min, s.alpha_max), s.beta_max)),
-        Teleoperator(law=lambda s: 0.2 * rng.normal(size=3)),
+        lambda s: 0.2 * rng.normal(size=3),
         seed=4,
         trust=lambda s: (rng.uniform(), s.trust_rh),
         guidance=Guidance(guidance, force=lambda s: rng.normal(size=3)),
@@ -227,7 +227,7 @@ def guided(force):
         ),
         ({"scheme": Scheme("s", lambda s: ("a", 0.3))}, "alpha = 'a'; it must lie in"),
         (
-            {"operator": Teleoperator(law=lambda s: s.seen if s.t < 1 else [][0])},
+            {"operator": lambda s: s.seen if s.t < 1 else [][0]},
             "operator .* s: IndexError: list index out of range",
         ),
         (flying(lambda s: (np.nan * s.robot, s.velocity)), "vehicle .* returned robot = .*nan"),

@@ -21,7 +21,7 @@ from trustlab import (
 from trustlab.models.trust import LogisticScaling, StepScaling
 from trustlab.teleoperation import SCHEMES, STUDIES, DivergenceError, Guidance
 from trustlab.teleoperation.loop.settings import vehicle_matrices
-from trustlab.testbeds.uav_tracking import TASKS, target_path
+from trustlab.testbeds.uav_tracking import TASKS
 
 MAIN = STUDIES["main"]
 UNIT = replace(MAIN, scattering=Scattering(2.0, 0.4, 1.0, 0.2, 0.8), k_ffa=3.0)
@@ -43,7 +43,7 @@ def push(t):
 
 def error(t, robot):
     """From the robot to the target of seed 0, whose way is known in closed form."""
-    return target_path(TASK, np.atleast_1d(t), 1.5, phase(0))[0][0] - robot
+    return TASK.path(np.atleast_1d(t), 1.5, phase(0))[0][0] - robot
 
 
 def rates(t, state, f_m, r_s):
@@ -185,7 +185,7 @@ def test_optimal_share_in_the_loop_is_that_of_the_controller_alone(study):
     assert_allclose(place, columns(data, "robot"), atol=1e-9)
     gains = ((task.proportional, task.derivative),) * 3
     blending = OptimalBlending(VEHICLE, gains, settings.scattering.alpha_min)
-    moving = target_path(task, data.index.to_numpy(), settings.height, phase(6))[1]
+    moving = task.path(data.index.to_numpy(), settings.height, phase(6))[1]
     said = np.vstack([np.zeros(3), columns(data, "u_h")])
     error, rate = columns(data, "reference") - place, moving - velocity
     for k in range(0, len(data), 37):

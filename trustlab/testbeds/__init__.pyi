@@ -7,6 +7,7 @@ from .ground_robot.kernel import (
 from .populations import (
     OperatorPopulation as OperatorPopulation,
     TeleoperatorPopulation as TeleoperatorPopulation,
+    following_operator as following_operator,
     published_operator as published_operator,
 )
 from .robot_team import (
@@ -30,4 +31,5 @@ from .uav_tracking import (
     TeleoperationLoop as TeleoperationLoop,
     TrackingTask as TrackingTask,
     simulate_teleoperation as simulate_teleoperation,
+    tracking_vehicle as tracking_vehicle,
 )

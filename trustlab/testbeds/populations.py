@@ -105,16 +105,12 @@ def printed_people() -> pd.DataFrame:
     return people.assign(participant=people.index)
 
 
-def person_among(people: pd.DataFrame, participant: int | str) -> Driver:
-    """Return operator, model and thresholds of TSC of someone by the index of a table of people."""
+def printed_person(participant: int | str) -> Driver:
+    """Return the operator, the model and the thresholds of TSC that are printed of someone."""
+    people = printed_people()
     name = str(participant).strip().lower().removesuffix(".0")
     label = one_of("participant", name, people.index, "an Operator with model=")
     return person_of(people.loc[label])
-
-
-def printed_person(participant: int | str) -> Driver:
-    """Return the operator, the model and the thresholds of TSC that are printed of someone."""
-    return person_among(printed_people(), participant)
 
 
 def published_operator(participant: int | str) -> Operator:
@@ -409,10 +405,28 @@ class OperatorPopulation:
 
 
 @cache
-def seeded_people() -> pd.DataFrame:
-    """Return the numbers of the operators of the UAV who go by a number, a row for each."""
-    people = OperatorPopulation.uav_following().draw(PARTICIPANTS, seed=0)
-    return people.set_index(people["participant"].astype(str))
+def seeded_people() -> list[dict[str, Any]]:
+    """Return the operators of the UAV who go by a number."""
+    return OperatorPopulation.uav_following().draw(PARTICIPANTS, seed=0).to_dict("records")
+
+
+def following_operator(participant: int | str) -> Driver:
+    """
+    Return one of the twenty seeded operators of the UAV with their model and thresholds of TSC.
+
+    Parameters
+    ----------
+    participant : int or str
+        1 to 20, or "1" to "20".
+
+    Raises
+    ------
+    ValueError
+        If there is no such participant.
+    """
+    name = str(participant).removesuffix(".0")
+    number = int(name) if name.isdecimal() else participant
+    return person_of(seeded_people()[whole_number("participant", number, most=PARTICIPANTS) - 1])
 
 
 @dataclass(frozen=True)

@@ -39,9 +39,8 @@ from trustlab.testbeds.ground_robot.course import Course, default_course
 from trustlab.testbeds.populations import (
     OperatorPopulation,
     TeleoperatorPopulation,
-    person_among,
-    printed_people,
-    seeded_people,
+    following_operator,
+    printed_person,
 )
 from trustlab.testbeds.team_testbed import RobotTeam
 from trustlab.testbeds.teleoperation_measures import measures_of
@@ -161,7 +160,7 @@ class ConditionTestbed(Checked, Testbed):
     name: ClassVar[str]
     title: ClassVar[str]
     module: ClassVar[Any]  # with E_MAX and FACTS
-    numbered: ClassVar[Callable]  # returns the people who go by a number or a name
+    numbered: ClassVar[Callable]  # returns who goes by a number or a name
     laps: ClassVar[int] = 0
     conditions = tuple(KNOWN)
     printed_conditions = tuple(CONDITIONS)
@@ -226,7 +225,7 @@ class ConditionTestbed(Checked, Testbed):
     def conducted(
         self,
         condition: str | None,
-        driver: Driver,
+        person: Driver,
         seed: Seed,
         thresholds: tuple[float, float] | None = None,
         rule: Any = None,
@@ -238,13 +237,13 @@ class ConditionTestbed(Checked, Testbed):
         ----------
         condition, seed, thresholds, rule : object
             As for `run_condition`; with a rule, the condition is a name for the metadata.
-        driver : (Operator, TscModel, (float, float) or None)
+        person : (Operator, TscModel, (float, float) or None)
             The operator who drives, the model that rules and suggestions use, and the thresholds of
             suggestions where `thresholds` are not given.
         """
-        operator, model, _ = driver
+        operator, model, _ = person
         task, thresholds, decide = deciding.task_for(
-            condition, rule, driver, thresholds, e_max=self.module.E_MAX, laps=self.laps
+            condition, rule, person, thresholds, e_max=self.module.E_MAX, laps=self.laps
         )
         length = self.setting_names[0]
         facts = {length: getattr(self, length), "settling": deciding.SETTLING} | self.module.FACTS
@@ -300,7 +299,7 @@ class GroundRobot(ConditionTestbed):
     name = "ground_robot"
     title = "the ground-robot testbed"
     module: ClassVar[Any] = ground
-    numbered = staticmethod(printed_people)
+    numbered = staticmethod(printed_person)
     setting_names = ("laps", "rest")
 
     laps: int = 8  # type: ignore[misc]  # of other testbeds a constant
@@ -335,7 +334,7 @@ class UavFollowing(ConditionTestbed):
     title = "the testbed of the UAV that follows a leader"
     module: ClassVar[Any] = flight
     duration = flight.DURATION
-    numbered = staticmethod(seeded_people)
+    numbered = staticmethod(following_operator)
 
     def _simulated(self, task, operator, seed, decide):
         return flight.flown(task, operator, seed, decide), None
@@ -434,8 +433,8 @@ def run_condition(
         The condition; either this or `rule`.
     participant : int, str or Operator
         Who drives: the stand-in for a printed participant, 1 to 5, "1" to "5" or "pilot"
-        (`published_operator`), or any `Operator`. On the UAV the seeded operators 1 to 20, or an
-        `Operator` with a model in shares of 1.
+        (`published_operator`), or any `Operator`. On the UAV the seeded operators 1 to 20 of
+        `following_operator`, or an `Operator` with a model in shares of 1.
     model : TscModel, optional
         The model which TSC and P_max of Algorithm 2 are taken from: the operator's identified one.
         For a participant by number it is known; needed for an `Operator`. Its samples are 0.1 s, as
@@ -511,7 +510,7 @@ def run_condition(
     if operator is not None:
         who = of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
     if not isinstance(who, Operator):
-        who, own, usual = person_among(bed.numbered(), who)
+        who, own, usual = bed.numbered(str(who))
     model = of_class("model", own if model is None else model, TscModel)
     if r0 is not None:
         who = replace(who, r0=r0)

@@ -20,7 +20,7 @@ from trustlab.testbeds import deciding
 from trustlab.testbeds.deciding import COUNTS, FLAGS, NUMBERS, SAMPLE_TIME, Task
 from trustlab.testbeds.ground_robot.course import size
 from trustlab.testbeds.populations import P_R_MIN
-from trustlab.testbeds.uav_tracking import VEHICLE, TrackingTask, target_path
+from trustlab.testbeds.uav_tracking import TrackingTask, tracking_vehicle
 
 # Length of a test, as printed [s], and in samples.
 DURATION = 360.0
@@ -192,7 +192,7 @@ def flight_of(hand_lag: float) -> np.void:
     """Return constants; left alone, the autopilot settles at the robot performance P_R_MIN."""
     lags = {"wander": WANDER_TIME, "shake": SHAKE_TIME, "hand": hand_lag}
     lags |= {"drift": DRIFT_TIME, "anchor": ANCHORING_TIME}
-    moves, driven = VEHICLE[0].discrete(SAMPLE_TIME)
+    moves, driven = tracking_vehicle()[0].discrete(SAMPLE_TIME)
     # Share of the drift's variance that the vehicle follows.
     followed = GAIN * DRIFT_TIME / (1.0 + GAIN * DRIFT_TIME)
     drift = E_MAX * (1.0 - P_R_MIN) / (MEAN_2 * np.sqrt(followed))
@@ -210,8 +210,7 @@ def flown(
     log, (z_r, z_h) = np.empty(SAMPLES, LOG), np.empty((2, SAMPLES))
     sensing, hand, choices, start = map(np.random.default_rng, spawned(seed, 4))
     phase = start.uniform(0.0, 2.0 * np.pi)
-    t = deciding.sample_times(SAMPLES)
-    leader = np.array(target_path(LEADER, t, 0.0, phase)) @ (1.0, 1j, 0.0)
+    leader = np.array(LEADER.path(deciding.sample_times(SAMPLES), 0.0, phase)) @ (1.0, 1j, 0.0)
     setup = FlightSetup(task, flight_of(operator.hand_lag), operator.numbers, *leader)
     state = FlightState(np.zeros(1, STATE), sensing, hand, choices, z_r, z_h)
     run = Simulation(follow, setup, state, np.full(SAMPLES, np.nan), log, decide)

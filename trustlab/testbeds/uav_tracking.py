@@ -22,6 +22,8 @@ from trustlab.models.checks import (
     array_between,
     between,
     changes,
+    finite_array,
+    finite_number,
     finite_numbers,
     function,
     named,
@@ -77,11 +79,16 @@ from trustlab.trust.interface import TrustDynamics
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
 
 
-# The UAV of (A.1) under a low-level velocity controller, as Section 3.6 assumes one: state feedback
-# u = (ω² r − (ω² − d_0) v − (2ω − d_1) dv/dt)/gain puts both poles at −ω = −4/s on x and y, and the
-# one on z. The printed PD controller of Appendix A does not stabilise (A.1) by itself on x and y.
-PLANAR = TransferFunction(16.0, (8.0, 16.0))
-VEHICLE = PLANAR, PLANAR, TransferFunction(4.0, (4.0,))
+def tracking_vehicle() -> tuple[TransferFunction, ...]:
+    """
+    Return the UAV of (A.1) under a low-level velocity controller, as Section 3.6 assumes one.
+
+    State feedback u = (ω² r − (ω² − d_0) v − (2ω − d_1) dv/dt)/gain puts both poles at −ω = −4/s,
+    and at −ω for order one. The printed PD controller of Appendix A does not stabilise (A.1) by
+    itself on x and y.
+    """
+    planar = TransferFunction(16.0, (8.0, 16.0))
+    return planar, planar, TransferFunction(4.0, (4.0,))
 
 
 @dataclass(frozen=True)
@@ -112,11 +119,11 @@ class TrackingTask(Checked):
     autonomy : callable, optional
         f(state) → u_a [m/s], shape (3,), in place of the PID controller on `state.picture`; like
         that it hovers, and is not asked, while `state.finds` is False.
-    vehicle : three TransferFunction, callable or (A, B, C)
-        Command to velocity per axis, by default with poles at −4/s. Or f(state) → position [m] and
-        velocity [m/s] a sample later, shape (3,) each, under `state.command`. Or the matrices of a
-        discrete state space, x' = A x + B u and (position, velocity) = C x', with x = 0 where it
-        starts. Scheme OMI predicts with three TransferFunction.
+    vehicle : three TransferFunction, callable or (A, B, C), optional
+        Command to velocity per axis; `tracking_vehicle()` when not given. Or f(state) → position
+        [m] and velocity [m/s] a sample later, shape (3,) each, under `state.command`. Or the
+        matrices of a discrete state space, x' = A x + B u and (position, velocity) = C x', with x =
+        0 where it starts. Scheme OMI predicts with three TransferFunction.
 
     Raises
     ------
@@ -144,15 +151,45 @@ class TrackingTask(Checked):
     reach: Positive = 1.5
     view: Annotated[float, (1e-6, 1e6)] = 1e6
     autonomy: Callable | None = None
-    vehicle: Any = VEHICLE
+    vehicle: Any = None
 
     def __post_init__(self):
         super().__post_init__()
         refuse_changed(self, self.autonomy, "a controller", "integral", "reach")
         if is_state_space(self.vehicle):
             state_space(*self.vehicle)
-        elif not callable(self.vehicle):
+        elif not (self.vehicle is None or callable(self.vehicle)):
             three_axes(self.vehicle)
+
+    def path(self, t: np.ndarray, height: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return where the UAV should be and how fast that moves: a figure of eight at a height above
+        the floor.
+
+        Parameters
+        ----------
+        t : numpy.ndarray, shape (N,)
+            Times [s].
+        height : float
+            z_d [m].
+        phase : float
+            Where on the path the target begins [rad].
+
+        Returns
+        -------
+        position, velocity : numpy.ndarray, shape (N, 3)
+            In m and m/s.
+        """
+        t, phase = finite_array("t", t), finite_number("phase", phase)
+        height = finite_number("height", height)
+        x, y = self.size_x, self.size_y
+        rate = self.speed / np.sqrt(0.5 * x**2 + 2.0 * y**2)  # root mean square speed: `speed`
+        turn = rate * t + phase
+        position = np.column_stack(
+            [x * np.sin(turn), y * np.sin(2 * turn), np.full(t.size, height)]
+        )
+        v_x, v_y = x * rate * np.cos(turn), 2 * y * rate * np.cos(2 * turn)
+        return position, np.column_stack([v_x, v_y, np.zeros(t.size)])
 
 
 TASKS = {
@@ -170,8 +207,9 @@ class TeleoperationLoop(Loop):
     ----------
     scheme : {"M", "MI", "MMI", "TMIG", "TMIS", "OMI"} or Scheme
         Who sets the scales.
-    operator : Teleoperator, optional
-        Who holds the device; an average one when not given.
+    operator : Teleoperator or callable, optional
+        Who holds the device; an average one when not given. A function is the law of an average
+        one: see `Teleoperator.law`.
     study : {"preliminary", "main"} or LoopSettings
         Printed settings, or own ones. Task, delays and reach of the operator are those of the study
         that `LoopSettings.study` names, where they are not given.
@@ -195,9 +233,10 @@ class TeleoperationLoop(Loop):
         What comes from outside, a row for each sample, NaN where the loop decides: `alpha`, `beta`,
         `trust_hr`, `trust_rh`, shape (N,); `u_a`, `wanted`, `guiding`, `robot`, `velocity` and
         `hand`, where a hand wants the device to be [m], shape (N, 3); units as of the functions
-        that they replace. Without NaN: `push`, a force [N] added to the hand's, shape (N, 3).
-        `decisions` of another loop repeats its run without its functions, with the same seed, task,
-        delays, settings, guidance and operator, whose hand moves and shakes as it did.
+        that they replace. Without NaN: `push`, a force [N] added to the hand's, shape (N, 3), and
+        `arrives`, bool of shape (N, 2), whether the waves sent to the robot and back in a sample
+        arrive. `decisions` of another loop repeats its run without its functions, with the same
+        seed, task, delays, settings, guidance and operator, whose hand moves and shakes as it did.
 
     Attributes
     ----------
@@ -226,7 +265,7 @@ class TeleoperationLoop(Loop):
     def __init__(
         self,
         scheme: str | Scheme = "TMIG",
-        operator: Teleoperator | None = None,
+        operator: Teleoperator | Callable | None = None,
         study: str | LoopSettings = "main",
         seed: Seed = 0,
         duration: float = 120.0,
@@ -243,6 +282,8 @@ class TeleoperationLoop(Loop):
         study = self.settings.study
         if operator is None:
             operator = Teleoperator(reach=REACH[study])
+        elif callable(operator):
+            operator = Teleoperator(law=operator)
         self.operator = of_class("operator", operator, Teleoperator)
         self.task = of_class("task", TASKS[study] if task is None else task, TrackingTask)
         trust = TrustInLoop.of(trust)
@@ -254,7 +295,7 @@ class TeleoperationLoop(Loop):
         given = checked_signals(signals, count, self._bounds)
         if not self.scheme.bilateral:
             idle = [name for name in ("force", "budget") if getattr(self.guidance, name)]
-            for name in [*idle, *given.keys() & {"guiding"}]:
+            for name in [*idle, *given.keys() & {"guiding", "arrives"}]:
                 raise ValueError(
                     f"{name} would do nothing in scheme {self.scheme.name}: no force comes back"
                 )
@@ -268,6 +309,7 @@ class TeleoperationLoop(Loop):
             share = compiled_for(optimal_share, numbers, whole)
             hooks["scheme"] = lambda view: (share(numbers, whole), view.beta_max)
         inputs = drawn(self.settings, self.task, self.operator, count + 1, seeds)
+        arrives = given.pop("arrives", np.ones((count, 2)))
         for name, signal in given.items():
             inputs[name][:-1] = signal
         # Inputs and delays have a row more than the log: padding, for a pause that nobody uses.
@@ -275,7 +317,7 @@ class TeleoperationLoop(Loop):
         names = {"alpha", *given}
         decide = asking(hooks, self.state, whole, names, self._bounds, follows_error)
         delays = np.pad(delays, ((0, 0), (0, 1)), "edge")
-        setup = LoopSetup(numbers, delays, np.ones((2, count), bool))
+        setup = LoopSetup(numbers, delays, np.ascontiguousarray(arrives.T, bool))
         self.simulation = Simulation(
             teleoperate,
             setup,
@@ -319,7 +361,8 @@ class TeleoperationLoop(Loop):
         late = max(round(task.camera_delay / T), 1)
         # what a function sets stays until it is asked again
         flies: dict[str, Any] = {"phi": np.eye(3)}
-        axes = None if "vehicle" in hooks else three_axes(task.vehicle)
+        vehicle = tracking_vehicle() if task.vehicle is None else task.vehicle
+        axes = None if "vehicle" in hooks else three_axes(vehicle)
         if axes:
             flies["phi"], flies["gamma"] = vehicle_matrices(axes, T)
         if shares == "optimal":
@@ -410,6 +453,8 @@ class TeleoperationLoop(Loop):
         }
         for name in {"trust_hr", "trust_rh"} & {*signals}:  # nobody is asked for it at the start
             signals[name][:1] = run.log[name][: min(run.done, 1)]
+        if self.scheme.bilateral:
+            signals["arrives"] = run.setup.arrives[:, : run.done].T.copy()
         return signals
 
     def so_far(self) -> Session:
@@ -439,7 +484,7 @@ class TeleoperationLoop(Loop):
 
 def simulate_teleoperation(
     scheme: str | Scheme = "TMIG",
-    operator: Teleoperator | None = None,
+    operator: Teleoperator | Callable | None = None,
     study: str | LoopSettings = "main",
     seed: Seed = 0,
     duration: float = 120.0,
@@ -497,7 +542,7 @@ def checked_signals(signals: Any, count: int, bounds: Mapping) -> dict[str, np.n
     """Return what comes from outside as arrays by name, checked."""
     if not isinstance(signals, Mapping | None):
         raise ValueError(f"signals must map names to arrays, got {shown(signals)}")
-    shapes = {name: INPUT[name].shape for name in ("push", *DECIDED.names)}
+    shapes = {name: INPUT[name].shape for name in ("push", *DECIDED.names)} | {"arrives": (2,)}
     checked = {}
     for name, values in (signals or {}).items():
         shape = (count, *shapes[one_of("a name in signals", name, shapes)])
@@ -514,21 +559,6 @@ def checked_signals(signals: Any, count: int, bounds: Mapping) -> dict[str, np.n
     return checked
 
 
-def target_path(
-    task: TrackingTask, t: np.ndarray, height: float, phase: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return where the UAV should be [m] and how fast that moves [m/s], shape (N, 3): a
-    figure of eight at a height above the floor, which begins at `phase` [rad].
-    """
-    x, y = task.size_x, task.size_y
-    rate = task.speed / np.sqrt(0.5 * x**2 + 2.0 * y**2)  # the root mean square speed is `speed`
-    turn = rate * t + phase
-    position = np.column_stack([x * np.sin(turn), y * np.sin(2 * turn), np.full(t.size, height)])
-    v_x, v_y = x * rate * np.cos(turn), 2 * y * rate * np.cos(2 * turn)
-    return position, np.column_stack([v_x, v_y, np.zeros(t.size)])
-
-
 def drawn(settings, task, operator, count, seeds) -> np.ndarray:
     """
     Return what is drawn from the seeds, records of INPUT; a longer draw begins with the shorter
@@ -538,7 +568,7 @@ def drawn(settings, task, operator, count, seeds) -> np.ndarray:
     T = settings.sample_time
     t, inputs = T * np.arange(count), np.zeros(count, INPUT)
     phase = start.uniform(0.0, 2.0 * np.pi)
-    reference = target_path(task, t, settings.height, phase)
+    reference = task.path(t, settings.height, phase)
     inputs["reference"], inputs["reference_velocity"] = reference
     inputs["detected"] = _losses(task, count, T, losses)
     inputs["motor"] = coloured(count, 3, operator.noise_time, T, noise)
