@@ -72,7 +72,7 @@ NOTICED_BY = {
     "operators/test_operators.py": "operators/*",
     "testbeds/test_conditions.py": "testbeds/condition_run testbeds/deciding testbeds/populations "
     "testbeds/testbed testbeds/uav_following allocation/estimates",
-    "testbeds/test_deciding.py": "testbeds/ground_robot/conditions",
+    "testbeds/test_deciding.py": "testbeds/ground_robot/kernel",
     "testbeds/test_ground_robot.py": "testbeds/ground_robot/*",
     "testbeds/test_guidance.py": "testbeds/teleoperation_measures",
     "testbeds/test_refusals.py": "operators/ground_robot teleoperation/delays "

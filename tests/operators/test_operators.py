@@ -16,7 +16,7 @@ from trustlab.operators.answers import agreeing, experience
 from trustlab.operators.ground_robot import ASSUMPTIONS
 from trustlab.teleoperation import STUDIES, Guidance
 from trustlab.testbeds import TeleoperatorPopulation
-from trustlab.testbeds.ground_robot.conditions import drive_modes
+from trustlab.testbeds.ground_robot.kernel import drive_modes
 
 # --- teleoperators --------------------------------------------------------------------------------
 

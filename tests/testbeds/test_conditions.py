@@ -14,7 +14,7 @@ from trustlab.allocation.rules import performance_suggestion
 from trustlab.models.tsc import threshold_mode
 from trustlab.testbeds import GroundRobot, OperatorPopulation, published_operator
 from trustlab.testbeds.deciding import CONDITIONS, SETTLING
-from trustlab.testbeds.ground_robot.conditions import drive_modes
+from trustlab.testbeds.ground_robot.kernel import drive_modes
 from trustlab.testbeds.populations import printed_person
 from trustlab.testbeds.uav_following import DURATION, E_MAX, U_MAX
 

@@ -16,9 +16,8 @@ import trustlab as tl
 from tests.cases import distance
 from trustlab.operators import operator
 from trustlab.testbeds import Course, Pioneer, identification_session
-from trustlab.testbeds.ground_robot.conditions import drive_modes
 from trustlab.testbeds.ground_robot.course import HALF_WIDTH, RESOLUTION, course_numbers
-from trustlab.testbeds.ground_robot.kernel import locate
+from trustlab.testbeds.ground_robot.kernel import drive_modes, locate
 
 
 @pytest.fixture(scope="module")

@@ -64,7 +64,7 @@ class RobotRun:
     @property
     def measures(self) -> dict[str, float]:
         """The outcome measures by name, those of `ConditionRun.measures` that a robot has."""
-        return condition_measures(self.session, self.session.t, str(self.run.condition))
+        return condition_measures(self.session, self.session.t)
 
     def __repr__(self) -> str:
         words = "verified" if self.verified else "NOT verified"

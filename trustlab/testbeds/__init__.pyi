@@ -1,9 +1,9 @@
 from .condition_run import ConditionRun as ConditionRun
-from .ground_robot.conditions import (
+from .ground_robot.course import Course as Course
+from .ground_robot.kernel import (
+    Pioneer as Pioneer,
     identification_session as identification_session,
 )
-from .ground_robot.course import Course as Course
-from .ground_robot.pioneer import Pioneer as Pioneer
 from .populations import (
     OperatorPopulation as OperatorPopulation,
     TeleoperatorPopulation as TeleoperatorPopulation,

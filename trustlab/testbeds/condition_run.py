@@ -16,11 +16,10 @@ from trustlab.allocation.estimates import (
     followed_suggestions,
     suggestion_episodes,
 )
-from trustlab.models.display import Result, axes_or_new
+from trustlab.models.display import Result
 from trustlab.models.tsc import TscModel
 from trustlab.operators.answers import allocation_answers
 from trustlab.operators.ground_robot import Operator
-from trustlab.sessions.plots import shade_manual
 from trustlab.sessions.session import Metadata, Session
 from trustlab.testbeds.deciding import (
     DEADLINE,
@@ -54,39 +53,25 @@ def suggestions_followed(t: np.ndarray, choice: Any, suggested: Any) -> dict[str
     return {"suggestions": decided, "followed_percent": share}
 
 
-def condition_measures(
-    log: Any,
-    t: np.ndarray,
-    condition: str,
-    operator: Operator | None = None,
-    model: TscModel | None = None,
-    lap_times: Any = None,
-) -> dict[str, float]:
+def condition_measures(log: Any, t: np.ndarray, lap_times: Any = None) -> dict[str, float]:
     """
     Return the outcome measures of a run from its log, anything with columns by name, as
-    `ConditionRun.measures`.
-
-    Without an operator nobody's answers are simulated: people give their own.
+    `ConditionRun.measures`; answers, which people give themselves, are not among them.
     """
     mode = log["mode"]
-    measures: dict[str, float] = {name: float(log[name].mean()) for name in MEANS}
-    switches = int(np.count_nonzero(np.diff(mode)))
-    measures |= {"manual_share": float(mode.mean()), "switches": switches}
-    measures["duration"] = float(t[-1] - t[0])
+    measures: dict[str, float] = {name: float(log[name].mean()) for name in MEANS} | {
+        "manual_share": float(mode.mean()),
+        "switches": int(np.count_nonzero(np.diff(mode))),
+        "duration": float(t[-1] - t[0]),
+    }
     if lap_times is not None:
         measures["speed"] = float(log["step_distance"].mean()) / SAMPLE_TIME
         measures["laps"] = int(lap_times.size)
         measures["lap_time"] = float(lap_times[-1] / lap_times.size) if lap_times.size else np.nan
-    measures |= suggestions_followed(t, mode, log["suggested_mode"])
-    if operator is not None and (operator.load_utilization or operator.load_switching):
-        # Nobody judges a user's rule.
-        scheme, forced = KNOWN.get(condition, (SCHEDULE, True))
-        judged = 0 if forced else switches if scheme == OWN else measures["suggestions"]
-        measures |= allocation_answers(mode, log["tsc"], measures, judged, operator, model)
-    return measures
+    return measures | suggestions_followed(t, mode, log["suggested_mode"])
 
 
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ConditionRun(Result):
     """
     One simulated run under one of the conditions C1–C5.
@@ -142,14 +127,16 @@ class ConditionRun(Result):
         followed_percent: share of them followed within 15 s, NaN without any; tlx, satisfaction,
         trust where the operator answers (`allocation_answers`).
         """
-        return condition_measures(
-            self.log,
-            sample_times(self.log.size),
-            str(self.metadata.condition),
-            self.operator,
-            self.model,
-            self.lap_times,
-        )
+        log, who = self.log, self.operator
+        measures = condition_measures(log, sample_times(log.size), self.lap_times)
+        if who.load_utilization or who.load_switching:
+            # Nobody judges a user's rule.
+            scheme, forced = KNOWN.get(str(self.metadata.condition), (SCHEDULE, True))
+            judged = 0 if forced else measures["switches" if scheme == OWN else "suggestions"]
+            measures |= allocation_answers(
+                log["mode"], log["tsc"], measures, judged, who, self.model
+            )
+        return measures
 
     @property
     def message(self) -> str:
@@ -172,15 +159,10 @@ class ConditionRun(Result):
         -------
         numpy.ndarray of matplotlib.axes.Axes, shape (4,)
         """
-        session = self.session
-        axes = axes_or_new(None, len(PANELS), sharex=True, figsize=(8.0, 7.6))
-        unit = " [m/s]" if "v_command" in session else ""  # performance of the UAV is a share
+        axes = self.session.plot([*PANELS])
+        unit = "" if self.lap_times is None else " [m/s]"  # performance of the UAV is a share
         for panel, (name, label) in zip(axes, PANELS.items(), strict=True):
-            panel.plot(session.t, session[name], lw=1.2)
             panel.set_ylabel(label + unit * name.startswith("p_"))
-            shade_manual(panel, session.t, session["mode"])
         for threshold in self.thresholds or ():
             axes[-1].axhline(threshold, ls="--", lw=1.0, color="C1")
-        axes[-1].set(xlabel="time [s]", xlim=(session.t[0], session.t[-1]))
-        axes[0].set_title(f"{session.label} (manual phases shaded)", fontsize="medium")
         return axes

@@ -36,11 +36,9 @@ CONDITIONS = {
     "C5": (PERFORMANCE, True),
 }
 
-# Controls, suggestions forced, that tell better thresholds from being relieved of deciding: "own",
-# by the thresholds that the operator's switches in C1 show; "random", at random times.
-CONTROLS = {"own": (TSC, True), "random": (RANDOM, True)}
-
-KNOWN = CONDITIONS | CONTROLS
+# Besides, controls, suggestions forced, that tell better thresholds from the relief of deciding:
+# "own", by the thresholds that the operator's switches in C1 show; "random", at random times.
+KNOWN = CONDITIONS | {"own": (TSC, True), "random": (RANDOM, True)}
 
 # Mean length of the phases of "random" [s]: the UAV is flown by hand about as long as in C1.
 RANDOM_PHASE = 60.0
@@ -51,14 +49,14 @@ SAMPLE_TIME, WINDOW = 0.1, 100.0
 # A suggestion counts as followed when the operator complies within this time [s].
 DEADLINE = 15.0
 
+# An operator, the model that rules and suggestions use, and the thresholds of suggestions, if any.
+Driver = tuple[Operator, TscModel, tuple[float, float] | None]
+
 # Nobody switches before this time [s], when the window of (2.4) and (2.7) is full for the first
 # time: means of the first few samples, of a robot that has just been put on the path, are far above
 # what they become.
 SETTLING = 100.0
 
-
-# What comes from outside at each sample: a mode; NaN where the scheme decides.
-INPUT = np.dtype([("mode", float)])
 
 # Performance summed over the window, utilization, own or suggested thresholds, and when a decision
 # takes effect. −1 stands for no suggestion, no decision under way and no suggestion being
@@ -102,7 +100,7 @@ def suggested_by_tsc(condition: str) -> bool:
 def task_for(
     condition: str | None,
     rule: Any,
-    person: tuple[Operator, TscModel, tuple[float, float] | None],
+    driver: Driver,
     thresholds: tuple[float, float] | None,
     **bed: Any,
 ) -> tuple[Task, tuple[float, float] | None, Callable | None]:
@@ -110,16 +108,15 @@ def task_for(
     Return the task of a condition, or of a rule where there is one, with the thresholds of its
     suggestions, checked, and what decides in the rule's place.
 
-    `thresholds` apply only to C2 and C3, where those of the person, if any, are the usual ones.
+    `thresholds` apply only to C2 and C3, where those of the driver, if any, are the usual ones.
     bed: further fields of the task.
     """
-    operator, model, usual = person
+    operator, model, usual = driver
+    task = Task(SCHEDULE, r0=operator.r0, **bed).suggesting(model)
     if rule is not None:
         rule, mode = prepared_rule(rule)
-        task = Task(SCHEDULE, first_mode=mode, r0=operator.r0, **bed)
-        return task.suggesting(model), None, obeying(rule)
+        return task._replace(first_mode=mode), None, obeying(rule)
     condition = one_of("condition", condition, KNOWN, "rule=")
-    scheme, forced = KNOWN[condition]
     if suggested_by_tsc(condition):
         pair = usual if thresholds is None else thresholds
         if pair is None:
@@ -136,13 +133,8 @@ def task_for(
     lower, upper = thresholds or (operator.lower, operator.upper)
     if condition == "own":  # switches in C1 come at these values of measured TSC
         lower, upper = lower - operator.trust_bias, upper - operator.trust_bias
-    task = Task(scheme, forced=forced, lower=lower, upper=upper, r0=operator.r0, **bed)
-    return task.suggesting(model), thresholds, None
-
-
-def no_inputs(size: int) -> np.ndarray:
-    """Return records of INPUT for so many samples, in which nothing is decided yet."""
-    return np.full(size, np.nan).view(INPUT)
+    scheme, forced = KNOWN[condition]
+    return task._replace(scheme=scheme, forced=forced, lower=lower, upper=upper), thresholds, None
 
 
 def obeying(rule: Any) -> Callable:
@@ -155,21 +147,22 @@ def obeying(rule: Any) -> Callable:
             (now,) = state.now
             mode = decision(rule, f"t = {t:.1f} s", float(now["tsc"]), float(now["p_r"]))
             if mode is not None:
-                inputs["mode"] = mode
+                inputs[:] = mode
 
     return decide
 
 
-def check_rules(rules: Any, known: Mapping, made: str) -> None:
-    """Refuse a user's conditions whose name is taken, or that cannot be called."""
+def checked_rules(rules: Any, known: Mapping) -> tuple[str, ...]:
+    """Return the names of known conditions and of a user's own, with what makes their rules."""
     if not isinstance(rules, Mapping):
-        raise ValueError(f"rules must map names to what makes {made}; got {shown(rules)}")
+        raise ValueError(f"rules must map names to what makes a rule; got {shown(rules)}")
     for name, make in rules.items():
         if not isinstance(name, str) or name in known or not callable(make):
             raise ValueError(
-                f"rules: {name!r} must be a name of its own, for what makes {made}, so that no run "
-                f"begins in the state of another; got {shown(make)}"
+                f"rules: {name!r} must be a name of its own, for a class or function that makes a "
+                f"rule, so that no run begins in the state of another; got {shown(make)}"
             )
+    return (*known, *rules)
 
 
 def warn_if_too_short(longest: float) -> None:
@@ -196,40 +189,38 @@ def framed(log: np.ndarray) -> pd.DataFrame:
 
 
 def metadata_of(
-    testbed: str,
-    operator: Operator,
-    condition: str,
-    seed: Seed,
-    note: str,
-    measured: str,
-    **facts: Any,
+    testbed: str, operator: Operator, condition: str, seed: Seed, **facts: Any
 ) -> Metadata:
     """
-    Return metadata that say how a run was made: what it stands for (`note`), how its performance is
-    `measured`, where fits look, and further facts.
+    Return metadata that say how a run was made; facts: what it stands for (`note`), how
+    `performance` is measured, and more.
     """
     if isinstance(seed, np.random.SeedSequence):
         facts |= {"seed": str(seed.entropy), "spawn_key": ".".join(map(str, seed.spawn_key))}
     else:
         facts["seed"] = whole_seed(seed)
-    performance = f"{measured}, window {WINDOW:g} s"
-    facts |= {"note": note, "performance": performance, "performance_window": WINDOW}
+    facts["performance"] += f", window {WINDOW:g} s"
+    facts["performance_window"] = WINDOW
     return Metadata(operator.participant, condition, f"trustlab.testbeds.{testbed}", True, facts)
 
 
 @inner
-def begin(task, person, state, rng):
-    """Set utilization and mode at the beginning, and draw the operator's first thresholds."""
-    state.r = task.r0
-    state.mode = task.first_mode
-    state.episode_seen = -1e9
-    state.suggested = -1
-    state.decided = -1
-    state.episode = -1
+def draw_thresholds(task, person, state, rng):
+    """Set the thresholds of TSC; own ones are drawn."""
     state.lower, state.upper = task.lower, task.upper
     if task.scheme == OWN:
         state.lower += person.lower_spread * rng.standard_normal()
         state.upper += person.upper_spread * rng.standard_normal()
+
+
+@inner
+def begin(task, person, state, rng):
+    """Set utilization, mode and thresholds at the beginning."""
+    state.r = task.r0
+    state.mode = task.first_mode
+    state.episode_seen = -1e9
+    state.suggested = state.decided = state.episode = -1
+    draw_thresholds(task, person, state, rng)
 
 
 @inner
@@ -250,12 +241,11 @@ def measure(task, k, z_r, z_h, state):
     Move performance as measured, (2.4) and (2.7), to the window that ends at sample k, and TSC
     (2.1) with it.
     """
-    state.sum_r, state.sum_h = state.sum_r + z_r[k], state.sum_h + z_h[k]
+    state.sum_r += z_r[k]
+    state.sum_h += z_h[k]
     if k >= task.window:
-        state.sum_r, state.sum_h = (
-            state.sum_r - z_r[k - task.window],
-            state.sum_h - z_h[k - task.window],
-        )
+        state.sum_r -= z_r[k - task.window]
+        state.sum_h -= z_h[k - task.window]
     used = min(k + 1, task.window)
     state.p_r = state.sum_r / used  # (2.4)
     state.p_h = state.sum_h / used  # (2.7)
@@ -311,27 +301,26 @@ def consider(task, person, t, state, rng):
         suggest(task, state)
         follow = person.follow_tsc if task.scheme == TSC else person.follow_performance
     if state.suggested == state.mode:
-        state.decided, state.episode = -1, -1
+        state.decided = state.episode = -1
     elif state.suggested >= 0:
         if state.suggested != state.episode or t - state.episode_seen > DEADLINE:
             state.willing = task.forced or rng.random() < follow
             late = reaction(person, state.suggested, rng)
             if not state.willing:
                 late += DEADLINE + person.ignoring_time * rng.standard_exponential()
-            state.episode = state.suggested
-            state.decided = state.suggested
+            state.decided = state.episode = state.suggested
             state.due = t + late
         state.episode_seen = t
 
 
 @inner
-def allocate(task, person, external, t, state, rng):
-    """Set who drives in this sample, as given from outside or by the scheme."""
+def allocate(task, person, given, t, state, rng):
+    """Set who drives in this sample: a mode given from outside, or, where it is NaN, the scheme."""
     before = state.mode
     if task.scheme == SCHEDULE:
         state.suggested = -1
-    if not np.isnan(external.mode):
-        state.mode = state.suggested = int(external.mode)
+    if not np.isnan(given):
+        state.mode = state.suggested = int(given)
     elif task.scheme == SCHEDULE or t < SETTLING:
         pass
     elif task.scheme == OWN:
@@ -344,9 +333,7 @@ def allocate(task, person, external, t, state, rng):
         state.decided = -1
     if state.mode != before:
         state.episode = -1
-        if task.scheme == OWN:  # own thresholds are drawn anew at every switch
-            state.lower = task.lower + person.lower_spread * rng.standard_normal()
-            state.upper = task.upper + person.upper_spread * rng.standard_normal()
+        draw_thresholds(task, person, state, rng)  # anew at every switch
 
 
 @inner

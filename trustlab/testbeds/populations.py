@@ -19,7 +19,6 @@ from trustlab.models.checks import (
     whole_seed,
 )
 from trustlab.models.published import printed_pilot, published_table
-from trustlab.models.tsc import TscModel
 from trustlab.operators.ground_robot import (
     Operator,
     checked_assumptions,
@@ -33,7 +32,7 @@ from trustlab.operators.teleoperator import (
     Teleoperator,
     assumed,
 )
-from trustlab.testbeds.deciding import SAMPLE_TIME
+from trustlab.testbeds.deciding import SAMPLE_TIME, Driver
 
 # Mixed into the seed, so that people and their runs have different streams.
 TELEOPERATORS = 0x70656F70
@@ -106,11 +105,10 @@ def printed_people() -> pd.DataFrame:
     return people.assign(participant=people.index)
 
 
-@cache
-def printed_person(participant: str) -> tuple[Operator, TscModel, tuple[float, float]]:
+def printed_person(participant: int | str) -> Driver:
     """Return the operator, the model and the thresholds of TSC that are printed of someone."""
     people = printed_people()
-    name = participant.strip().lower().removesuffix(".0")
+    name = str(participant).strip().lower().removesuffix(".0")
     label = one_of("participant", name, people.index, "an Operator with model=")
     return person_of(people.loc[label])
 
@@ -135,7 +133,7 @@ def published_operator(participant: int | str) -> Operator:
     ValueError
         If there is no such participant.
     """
-    return printed_person(str(participant))[0]
+    return printed_person(participant)[0]
 
 
 # --- what is normally distributed -----------------------------------------------------------------
@@ -212,16 +210,15 @@ COORDINATES = {
 }
 
 
-def _limits(person: Mapping[str, Any]) -> dict[str, float]:
-    """Return the limits of a person's thresholds of TSC, as `PersonCoordinate` names them."""
+def with_limits(person: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a person with the limits of thresholds of TSC, as `PersonCoordinate` names them."""
     limits = threshold_limits(model_of(person))
-    return {"tsc_lb": limits.lower, "tsc_ub": limits.upper}
+    return {**person, "tsc_lb": limits.lower, "tsc_ub": limits.upper}
 
 
 def printed_coordinates(testbed: str) -> pd.DataFrame:
     """Return the coordinates of the printed participants, a row for each."""
-    people = printed_people().loc[PRINTED]
-    people = people.join(pd.DataFrame(people.apply(_limits, axis=1).to_list(), people.index))
+    people = pd.DataFrame(map(with_limits, printed_people().loc[PRINTED].to_dict("records")))
     return pd.DataFrame({each.quantity: each.of(people) for each in COORDINATES[testbed]})
 
 
@@ -231,7 +228,7 @@ def person_at(z: np.ndarray, testbed: str, p_r_min: float) -> dict[str, float]:
     # places between the limits of thresholds come after the model that the limits follow from
     for placed in (False, True):
         if placed:
-            person |= _limits(person)
+            person = with_limits(person)
         for coordinate, number in zip(COORDINATES[testbed], z.tolist(), strict=True):
             if bool(coordinate.high) == placed:
                 person[coordinate.quantity] = coordinate.quantity_at(number, person)
@@ -322,6 +319,8 @@ class OperatorPopulation:
         people : Population
             Performance in m/s, by (2.4) and (2.7).
         """
+        from scipy.linalg import block_diag
+
         from trustlab.identification.posterior.population import Population
 
         rest = cls.ground_robot()
@@ -330,10 +329,9 @@ class OperatorPopulation:
         person[["a_r", "a_pr"]] = np.exp(-SAMPLE_TIME / person[["a_r", "a_pr"]])
         model = [each for each in COORDINATES[rest.testbed] if each.quantity in MODEL]
         rows = np.column_stack([coordinate.of(person) for coordinate in model])
-        mean = np.r_[rows.mean(axis=0), rest.mean[len(model) :]]
-        habits = rest.covariance[len(model) :, len(model) :]
-        zeros = np.zeros((len(model), len(habits)))
-        covariance = np.block([[np.cov(rows.T), zeros], [zeros.T, habits]])
+        habits = slice(len(model), None)
+        mean = np.r_[rows.mean(axis=0), rest.mean[habits]]
+        covariance = block_diag(np.cov(rows.T), rest.covariance[habits, habits])
         origin = f"{len(people)} people by fit_population; answers by {rest.origin}"
         return cls(mean, covariance, rest.follow, float(new["robot_p_min"].mean()), origin)
 
@@ -406,7 +404,13 @@ class OperatorPopulation:
     person = staticmethod(person_of)
 
 
-def following_operator(participant: int | str) -> tuple[Operator, TscModel, tuple[float, float]]:
+@cache
+def seeded_people() -> list[dict[str, Any]]:
+    """Return the operators of the UAV who go by a number."""
+    return OperatorPopulation.uav_following().draw(PARTICIPANTS, seed=0).to_dict("records")
+
+
+def following_operator(participant: int | str) -> Driver:
     """
     Return one of the twenty seeded operators of the UAV with their model and thresholds of TSC.
 
@@ -421,16 +425,8 @@ def following_operator(participant: int | str) -> tuple[Operator, TscModel, tupl
         If there is no such participant.
     """
     name = str(participant).removesuffix(".0")
-    number = whole_number(
-        "participant", int(name) if name.isdecimal() else participant, most=PARTICIPANTS
-    )
-    return _followed(number)
-
-
-@cache
-def _followed(number: int) -> tuple[Operator, TscModel, tuple[float, float]]:
-    rows = OperatorPopulation.uav_following().draw(number, seed=0).to_dict("records")
-    return person_of(rows[-1])
+    number = int(name) if name.isdecimal() else participant
+    return person_of(seeded_people()[whole_number("participant", number, most=PARTICIPANTS) - 1])
 
 
 @dataclass(frozen=True)
@@ -454,7 +450,6 @@ class TeleoperatorPopulation:
         If the study is unknown.
     """
 
-    testbed = "uav_tracking"
     origin = "plausible ranges, not measured"
 
     study: str = "main"
@@ -505,5 +500,5 @@ class TeleoperatorPopulation:
         values : dict
             The row.
         """
-        names = [name for name in Teleoperator.__match_args__ if name in values]
-        return Teleoperator(**{name: values[name] for name in names})
+        names = Teleoperator.__match_args__
+        return Teleoperator(**{name: values[name] for name in names if name in values})

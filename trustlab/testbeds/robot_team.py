@@ -15,7 +15,6 @@ from trustlab.models.checks import (
     between,
     changes,
     finite_array,
-    finite_numbers,
     of_class,
     one_of,
     spawned,
@@ -196,9 +195,9 @@ class TeamLoop(Loop):
         self._settings = of_class("settings", settings, TeamSettings)
         self._trial = of_class("trial", trial, TeamTrial)
         self._operator = of_class("operator", operator, TeamOperator)
-        driver = None
-        if trust is not None:
-            driver = of_class("trust", TrustInLoop.of(trust), TrustInLoop, "see trust.MODELS")
+        driver = TrustInLoop.of(trust)
+        if driver is not None:
+            of_class("trust", driver, TrustInLoop, "see trust.MODELS")
         self.robots, self._graphs = graphs_in_time(graph, trial.require_connected)
         self._goal = finite_array("goal", goal, length=3)
         begins, drawn, rng, *faults = map(np.random.default_rng, spawned(seed, 5))
@@ -209,8 +208,6 @@ class TeamLoop(Loop):
         self._decisions = int(np.ceil(duration / self._step)) + 1
         self.simulation = self._begin(per_decision, begins, *faults)
         self.state = View(self.simulation.state.shown)
-        model = settings.human_to_robot
-        self._rates = model.decay(self._step), model.b / model.a
         # Human-to-robot trust, as a share of its range.
         self._share = np.full(len(self.robots), driver.start if driver else 0.5)
         self._courses = [TrustCourse(driver, self._step) for _ in self.robots] if driver else []
@@ -221,17 +218,16 @@ class TeamLoop(Loop):
             if driver is None:
                 self._share = start
         first = [np.ceil((graph.since - SLACK) / self._step) for graph in self._graphs]
-        until = [*first[1:], np.ceil(self.count / per_decision)]
-        for graph, begins_at, ends_at in zip(self._graphs, first, until, strict=True):
-            if begins_at >= ends_at:
-                raise ValueError(
-                    f"the graph from t = {graph.since:g} s on would do nothing in a run of "
-                    f"{duration:g} s with a decision every {self._step:g} s"
-                )
+        decides = np.diff(first, append=np.ceil(self.count / per_decision))
+        if decides.min() <= 0.0:
+            idle = self._graphs[decides.argmin()].since
+            raise ValueError(
+                f"the graph from t = {idle:g} s on would do nothing in a run of {duration:g} s "
+                f"with a decision every {self._step:g} s"
+            )
         self._graph = self._graphs[0]
         self._levels: list[np.ndarray] = []  # of trust, at every decision
         self._named: int | None = None
-        self._waits = 0  # decisions at which a wish to switch had to wait
         self._now = TeamSituation(
             t=0.0,
             robots=self.robots,
@@ -266,12 +262,14 @@ class TeamLoop(Loop):
         shape = robots.size, 3
         start = begins.uniform(-5.0, 5.0, shape)
         if trial.start is not None:
-            start = finite_numbers("start", trial.start)
-            if start.shape != shape:
-                raise ValueError(f"start must have shape {shape}, got {start.shape}")
+            start = trial.start
+        if start.shape != shape:
+            raise ValueError(f"start must have shape {shape}, got {start.shape}")
         distance = start - self._goal
         draws = losses.random((count, 2)).T  # by these numbers packets are lost
-        drift = 0.5 * T * _drifts(robots, self._decisions, self._step, drifts) / root
+        noise = coloured(self._decisions, 3 * robots.size, DRIFT_TIME, self._step, drifts)
+        velocity = noise.reshape(-1, *shape) * robots["drift"][:, None]
+        drift = 0.5 * T * velocity / root
         numbers = self._numbers(ends, distance, root, drift.any(), per_decision)
         formations = [
             formation_on(graph, settings.coupling, 0.5 * T, root[:, 0]) for graph in self._graphs
@@ -367,9 +365,12 @@ class TeamLoop(Loop):
     @property
     def positions(self) -> np.ndarray:
         """Where the robots are [m], shape (N, 3); NaN where they are not in the team."""
-        run = self.simulation
-        places = run.state.q * run.setup.robots["root"][:, None] + self._goal
-        return np.where(self._graph.present[:, None], places, np.nan)
+        return self._placed(self.simulation.state.q, self._graph.present)
+
+    def _placed(self, q: np.ndarray, present: np.ndarray) -> np.ndarray:
+        """Return places [m] from distances to the goal over √s; NaN where nobody is present."""
+        places = q * self.simulation.setup.robots["root"][:, None] + self._goal
+        return np.where(present[..., None], places, np.nan)
 
     def step(self, hand=None, leader: Hashable = None, samples: int = 1) -> View:
         """
@@ -442,7 +443,9 @@ class TeamLoop(Loop):
             judged = zip(self._courses, performance, strict=True)
             self._share = np.array([course.step(value) for course, value in judged])
         else:
-            after = trust_step.py_func(self._share, performance, *self._rates)  # (4.1)
+            model = self._settings.human_to_robot
+            rates = model.decay(self._step), model.b / model.a
+            after = trust_step.py_func(self._share, performance, *rates)  # (4.1)
             self._share = np.where(np.isnan(performance), self._share, after)
 
     def _able(self) -> list:
@@ -462,21 +465,19 @@ class TeamLoop(Loop):
         if pick is None:
             where = f"the leader policy {self._policy.title!r}, at t = {t:g} s"
             pick = asked(where, self._picked, now)
-        if pick != now.leader:
-            if not now.free:
-                self._waits += 1
-                return now.leader
+        if pick != now.leader and now.free:
             now.leader, now.since = pick, t
-        return pick
+        return now.leader
 
     def _picked(self, now: TeamSituation) -> int:
         """Return whom the policy picks, who can lead."""
         pick = self._policy.leader(now)
         pick = whole_number("the number of a robot", pick, 0, len(self.robots) - 1)
         if not now.may_lead[pick]:
-            why = "not all others see, directly or through others, so that it cannot lead them"
-            why = why if now.present[pick] else "is not in the team then"
-            raise ValueError(f"robot {self.robots[pick]!r}, {why}; who can: {self._able()}")
+            raise ValueError(
+                f"robot {self.robots[pick]!r} is not in the team then, or not all others see it, "
+                f"directly or through others, so that it cannot lead; who can: {self._able()}"
+            )
         return pick
 
     # --- the run ----------------------------------------------------------------------------------
@@ -487,11 +488,8 @@ class TeamLoop(Loop):
         rows = np.arange(0, self._done, self._trial.samples_per_row)
         graphs = run.inputs["graph"][rows]
         states = run.log.table[: rows.size].view(float).reshape(rows.size, -1)
-        table = states[:, : len(kernel.COLUMNS)].copy()
         t = pd.Index(np.round(T * rows, 9), name="t")
-        places = run.log.places[: rows.size] * run.setup.robots["root"][:, None] + self._goal
-        present = np.array([graph.present for graph in self._graphs])
-        places[~present[graphs]] = np.nan  # not in the team, nowhere
+        present = np.array([graph.present for graph in self._graphs])[graphs]
         facts = {
             "policy": self._policy.title,
             "filter": self._settings.channel.filters,
@@ -504,26 +502,18 @@ class TeamLoop(Loop):
             "operator": changes(self._operator, OPERATOR),
             "settings": changes(self._settings, SETTINGS),
             "trial": changes(self._trial, TRIAL),
-            "waits": self._waits,
         }
         return TeamRun(
             self.robots,
-            tuple((graph.since, graph.adjacency) for graph in self._graphs),
             self._goal,
-            pd.DataFrame(table, t, list(kernel.COLUMNS)),
-            places,
+            pd.DataFrame(states[:, : len(kernel.COLUMNS)].copy(), t, list(kernel.COLUMNS)),
+            self._placed(run.log.places[: rows.size], present),
             np.array(self._levels)[rows // run.every],
             np.round(T * (np.flatnonzero(np.diff(run.inputs["lead"][: run.done])) + 1), 9),
             run.setup.numbers["budget"].item(),
             self._trial.tolerance,
             facts,
         )
-
-
-def _drifts(robots: np.ndarray, decisions: int, step: float, rng) -> np.ndarray:
-    """Return velocities by which robots drift, drawn, shape (M, N, 3)."""
-    noise = coloured(decisions, 3 * robots.size, DRIFT_TIME, step, rng)
-    return noise.reshape(decisions, -1, 3) * robots["drift"][:, None]
 
 
 def _drawn(decisions: int, robots: int, rate: float, rng) -> tuple[np.ndarray, np.ndarray]:

@@ -43,9 +43,6 @@ class TeamRun(Result):
     ----------
     robots : tuple
         Names.
-    graphs : tuple of (float, numpy.ndarray)
-        From when each graph was given [s], to hold from the next decision on, and its a_ij, shape
-        (N, N).
     goal : numpy.ndarray, shape (3,)
         r_q [m].
     data : pandas.DataFrame
@@ -65,7 +62,6 @@ class TeamRun(Result):
     """
 
     robots: tuple
-    graphs: tuple[tuple[float, np.ndarray], ...]
     goal: np.ndarray
     data: pd.DataFrame
     positions: np.ndarray
@@ -174,12 +170,12 @@ class TeamRun(Result):
         """
         force = self.data[FORCE].to_numpy()
         return {
-            "time": self.time_to_goal if self.converged else float(self.t[-1]),
+            "time": self.time_to_goal if self.converged else self.t[-1],
             "arrived": float(self.converged),
-            "distance": float(self.farthest.mean()),
-            "force": float(np.sqrt((force**2).sum(axis=1).mean())),
-            "work": float(self.data["supply_hand"].iloc[-1]),
-            "trust": float(self.session["trust_hr"].mean()),
+            "distance": self.farthest.mean(),
+            "force": np.sqrt((force**2).sum(axis=1).mean()),
+            "work": self.data["supply_hand"].iloc[-1],
+            "trust": self.session["trust_hr"].mean(),
             "switches": float(len(self.switches)),
         }
 
@@ -206,7 +202,8 @@ class TeamRun(Result):
             If there are not four axes.
         """
         axes = axes_or_new(axes, 4, title=self.title, sharex=True, figsize=(8.0, 8.4))
-        distance, leader, force, energy = np.ravel(axes)
+        axes = np.ravel(axes)
+        distance, leader, force, energy = axes
         t, data = self.t, self.data
         distance.semilogy(t, np.maximum(self.distances, 1e-9), lw=0.8, color="C0", alpha=0.6)
         distance.axhline(self.tolerance, color="0.4", ls="--", lw=0.8)
@@ -222,4 +219,4 @@ class TeamRun(Result):
         energy.set(ylabel="energy [J]", xlabel="time [s], logarithmic from 2 s on", xlim=t[[0, -1]])
         for axis in (force, energy):
             axis.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
-        return np.ravel(axes)
+        return axes

@@ -7,18 +7,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from trustlab.models.checks import (
-    Checked,
-    Positive,
-    Seed,
-    of_class,
-    spawned,
-)
+from trustlab.models.checks import Checked, Positive, Seed, list_of, spawned
 from trustlab.operators.ground_robot import checked_assumptions
 from trustlab.teleoperation.team.decisions import POLICIES, policy_named
 from trustlab.teleoperation.team.graphs import graphs_in_time
 from trustlab.teleoperation.team.settings import TeamOperator, TeamRobot, TeamSettings, TeamTrial
-from trustlab.testbeds.deciding import check_rules
+from trustlab.testbeds.deciding import checked_rules
 from trustlab.testbeds.populations import drawn_people
 from trustlab.testbeds.robot_team import simulate_team
 from trustlab.testbeds.team_run import TeamRun
@@ -62,7 +56,7 @@ class RobotTeam(Checked):
         Length of each run [s].
     blocks : TeamSettings, optional
         Device, channel, trust and gains, without robots; gains with which such a team arrives
-        within some 40 s when not given.
+        within some 40 s when not given; needed for a directed graph.
     rules : mapping of str to callable, optional
         Conditions of one's own by name: what makes the policy, called for each run.
 
@@ -96,19 +90,14 @@ class RobotTeam(Checked):
 
     def __post_init__(self):
         super().__post_init__()
-        if isinstance(self.robots, TeamRobot):
-            raise ValueError("robots must be a sequence of TeamRobot, one for each robot")
-        robots: Any = TeamSettings(robots=self.robots).robots
-        check_rules(self.rules, POLICIES, "a policy, as a class or lambda: MostTrusted(0.2)")
-        graph = self.graph
-        if graph is None:
-            graph = ring(len(robots))
+        robots = tuple(list_of("robots", self.robots))
+        graph = ring(len(robots)) if self.graph is None else self.graph
+        conditions = checked_rules(self.rules, POLICIES)
         settings = TeamSettings.scaled(graph, 40.0) if self.blocks is None else self.blocks
-        blocks = replace(of_class("blocks", settings, TeamSettings), robots=robots)
-        if settings.robots not in (TeamSettings.robots, robots):
+        blocks = replace(settings, robots=robots)
+        if settings.robots not in (TeamSettings.robots, blocks.robots):
             raise ValueError("the robots of blocks would do nothing: give robots=…")
         blocks.per_robot(len(graphs_in_time(graph, True)[0]))  # refused if they are too few
-        conditions = (*POLICIES, *self.rules)
         self.__dict__.update(robots=robots, graph=graph, blocks=blocks, conditions=conditions)
 
     @property
@@ -135,9 +124,9 @@ class RobotTeam(Checked):
         TeamOperator(**assumed)  # refused now, not in every run
 
         def draw(number: int, rng: np.random.Generator) -> dict[str, float]:
-            shares = rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, len(HAND))
             return {
-                n: getattr(TeamOperator, n) * share for n, share in zip(HAND, shares, strict=True)
+                name: getattr(TeamOperator, name) * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD)
+                for name in HAND
             }
 
         return drawn_people(n, seed, LEADERS_OF_TEAMS, draw).assign(**assumed)

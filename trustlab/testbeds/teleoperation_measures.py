@@ -75,15 +75,18 @@ def teleoperation_measures(sessions: Session | Iterable[Session]) -> pd.DataFram
     runs = [sessions] if isinstance(sessions, Session) else list_of("sessions", sessions)
     if not runs:
         raise ValueError("sessions is empty: give at least one run of simulate_teleoperation")
+    rows = []
     for number, run in enumerate(runs):
-        of_class(f"sessions[{number}]", run, Session)
-    frame = pd.DataFrame([_measures(run) for run in runs])
+        about = of_class(f"sessions[{number}]", run, Session).metadata
+        names = {"participant": about.participant, "scheme": about.condition}
+        rows.append({**names, "synthetic": about.synthetic, **measures_of(run)})
+    frame = pd.DataFrame(rows)
     if any(run.metadata.synthetic for run in runs):
         frame.attrs["origin"] = "simulated operators"
     return frame
 
 
-def _measures(run: Session) -> dict[str, object]:
+def measures_of(run: Session) -> dict[str, float]:
     """Return the measures of one run by column."""
     force, felt = (
         np.sqrt(sum(run[f"{name}_{axis}"] ** 2 for axis in "xyz")) for name in ("f_h", "guide")
@@ -91,9 +94,6 @@ def _measures(run: Session) -> dict[str, object]:
     last = [f"energy_{name}" for name in ("operator", "dissipated", "target", "guidance")]
     least = [f"energy_{name}" for name in ("channel", "robot", "port")]
     return {
-        "participant": run.metadata.participant,
-        "scheme": run.metadata.condition,
-        "synthetic": run.metadata.synthetic,
         "tracking_error": run["path_error"].mean(),
         "worst_error": run["path_error"].max(),
         **{name: run[name].mean() for name in ("p_r", "p_h", "alpha")},

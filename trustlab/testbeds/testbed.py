@@ -26,10 +26,16 @@ from trustlab.operators.ground_robot import Operator, person_of
 from trustlab.teleoperation.loop.settings import SCHEMES
 from trustlab.testbeds import deciding, uav_following as flight
 from trustlab.testbeds.condition_run import ConditionRun
-from trustlab.testbeds.deciding import CONDITIONS, KNOWN, SAMPLE_TIME, Task, check_rules
-from trustlab.testbeds.ground_robot import conditions as ground
+from trustlab.testbeds.deciding import (
+    CONDITIONS,
+    KNOWN,
+    SAMPLE_TIME,
+    Driver,
+    Task,
+    checked_rules,
+)
+from trustlab.testbeds.ground_robot import kernel as ground
 from trustlab.testbeds.ground_robot.course import Course, default_course
-from trustlab.testbeds.ground_robot.pioneer import Pioneer
 from trustlab.testbeds.populations import (
     OperatorPopulation,
     TeleoperatorPopulation,
@@ -37,7 +43,7 @@ from trustlab.testbeds.populations import (
     printed_person,
 )
 from trustlab.testbeds.team_testbed import RobotTeam
-from trustlab.testbeds.teleoperation_measures import teleoperation_measures
+from trustlab.testbeds.teleoperation_measures import measures_of
 from trustlab.testbeds.uav_tracking import simulate_teleoperation
 
 Person = Mapping[str, Any]
@@ -153,9 +159,9 @@ class ConditionTestbed(Checked, Testbed):
 
     name: ClassVar[str]
     title: ClassVar[str]
-    module: ClassVar[Any]  # with E_MAX, NOTE and MEASURED
+    module: ClassVar[Any]  # with E_MAX and FACTS
+    numbered: ClassVar[Callable]  # returns who goes by a number or a name
     laps: ClassVar[int] = 0
-    participant: ClassVar[Callable]
     conditions = tuple(KNOWN)
     printed_conditions = tuple(CONDITIONS)
     printed_n = 20
@@ -168,11 +174,11 @@ class ConditionTestbed(Checked, Testbed):
     rules: Mapping[str, Callable] = field(default_factory=dict)
 
     def __post_init__(self):
-        check_rules(self.rules, KNOWN, "a rule, as a class or lambda: ThresholdRule(0.0, 0.3)")
         super().__post_init__()
+        conditions = checked_rules(self.rules, KNOWN)
         population = self.population or usual_population(self.name)
         one_of("the testbed of population", population.testbed, [self.name])
-        self.__dict__.update(conditions=(*KNOWN, *self.rules), population=population)
+        self.__dict__.update(conditions=conditions, population=population)
 
     def run(self, condition: str, person: Person, seed: Seed) -> ConditionRun:
         """
@@ -207,19 +213,19 @@ class ConditionTestbed(Checked, Testbed):
             If what was made is no rule; and what making it raises.
         """
         make = self.rules[condition]
-        needed = [
-            p
-            for p in inspect.signature(make).parameters.values()
-            if p.default is p.empty and p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)
-        ]
-        rule = make(person_of(person)[1]) if needed else make()
+        try:
+            inspect.signature(make).bind()
+        except TypeError:  # it needs an argument
+            rule = make(person_of(person)[1])
+        else:
+            rule = make()
         prepared_rule(rule)
         return rule
 
     def conducted(
         self,
         condition: str | None,
-        person: tuple[Operator, TscModel, tuple[float, float] | None],
+        person: Driver,
         seed: Seed,
         thresholds: tuple[float, float] | None = None,
         rule: Any = None,
@@ -239,53 +245,17 @@ class ConditionTestbed(Checked, Testbed):
         task, thresholds, decide = deciding.task_for(
             condition, rule, person, thresholds, e_max=self.module.E_MAX, laps=self.laps
         )
-        facts = {
-            self.setting_names[0]: getattr(self, self.setting_names[0]),
-            "settling": deciding.SETTLING,
-        }
+        length = self.setting_names[0]
+        facts = {length: getattr(self, length), "settling": deciding.SETTLING} | self.module.FACTS
         if thresholds is not None:
             facts |= zip(("TSC_l", "TSC_u"), thresholds, strict=True)
-        metadata = deciding.metadata_of(
-            self.name, operator, condition, seed, self.module.NOTE, self.module.MEASURED, **facts
-        )
+        metadata = deciding.metadata_of(self.name, operator, condition, seed, **facts)
         log, lap_times = self._simulated(task, operator, seed, decide)
-        return ConditionRun(
-            log=log,
-            metadata=metadata,
-            operator=operator,
-            model=model,
-            thresholds=thresholds,
-            lap_times=lap_times,
-        )
+        return ConditionRun(log, metadata, operator, model, thresholds, lap_times)
 
     def _simulated(self, task: Task, operator: Operator, seed: Seed, decide: Any) -> tuple:
         """Return the log of a run, and when laps ended, where there are any."""
         raise NotImplementedError
-
-    def identified(
-        self, participant: Any, operator: Operator | None, model: TscModel | None
-    ) -> tuple[Operator, TscModel, tuple[float, float] | None]:
-        """
-        Return operator, model and thresholds of a participant by number or of a given operator.
-
-        Parameters
-        ----------
-        participant, operator, model : object
-            As for `run_condition`.
-        """
-        if (participant is None) == (operator is None):
-            raise ValueError(
-                "who drives? give either participant= or operator=, not both, and model= for an "
-                "Operator"
-            )
-        if operator is not None:
-            participant = of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
-        if model is not None or isinstance(participant, Operator):
-            model = of_class("model", model, TscModel)
-        if isinstance(participant, Operator):
-            return participant, model, None
-        person = self.participant(str(participant))
-        return person if model is None else (person[0], model, person[2])
 
     def next_session(self, person: Person, run: ConditionRun) -> Person:
         """
@@ -329,11 +299,11 @@ class GroundRobot(ConditionTestbed):
     name = "ground_robot"
     title = "the ground-robot testbed"
     module: ClassVar[Any] = ground
-    participant = staticmethod(printed_person)
+    numbered = staticmethod(printed_person)
     setting_names = ("laps", "rest")
 
     laps: int = 8  # type: ignore[misc]  # of other testbeds a constant
-    robot: Pioneer = field(default_factory=Pioneer)
+    robot: ground.Pioneer = field(default_factory=ground.Pioneer)
     course: Course = field(default_factory=default_course)
 
     def __post_init__(self):
@@ -364,7 +334,7 @@ class UavFollowing(ConditionTestbed):
     title = "the testbed of the UAV that follows a leader"
     module: ClassVar[Any] = flight
     duration = flight.DURATION
-    participant = staticmethod(following_operator)
+    numbered = staticmethod(following_operator)
 
     def _simulated(self, task, operator, seed, decide):
         return flight.flown(task, operator, seed, decide), None
@@ -415,9 +385,7 @@ class UavTracking(Checked, Testbed):
         """
         operator, study = self.population.person(person), self.population.study
         session = simulate_teleoperation(condition, operator, study, seed, self.duration)
-        row = teleoperation_measures(session).iloc[0]
-        measures = row.drop(["participant", "scheme", "synthetic"]).to_dict()
-        return SimpleNamespace(session=session, measures=measures)
+        return SimpleNamespace(session=session, measures=measures_of(session))
 
 
 TESTBEDS: dict[str, Any] = {
@@ -532,9 +500,20 @@ def run_condition(
     """
     bed = named_testbed(testbed, laps, (GroundRobot.name, UavFollowing.name))
     of_class("testbed", bed, ConditionTestbed, "or a name")
-    person = bed.identified(participant, operator, model)
+    if (participant is None) == (operator is None):
+        raise ValueError(
+            "who drives? give either participant= or operator=, not both, and model= for an "
+            "Operator"
+        )
+    who: Any = participant
+    own = usual = None
+    if operator is not None:
+        who = of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
+    if not isinstance(who, Operator):
+        who, own, usual = bed.numbered(str(who))
+    model = of_class("model", own if model is None else model, TscModel)
     if r0 is not None:
-        person = replace(person[0], r0=r0), *person[1:]
+        who = replace(who, r0=r0)
     if rule is not None:
         if condition is not None or thresholds is not None:
             raise ValueError(
@@ -542,6 +521,6 @@ def run_condition(
                 "out"
             )
         condition = f"rule {type(rule).__name__}"
-    run = bed.conducted(condition, person, seed, thresholds, rule)
+    run = bed.conducted(condition, (who, model, usual), seed, thresholds, rule)
     deciding.warn_if_too_short(run.log.size * SAMPLE_TIME)
     return run

@@ -5,9 +5,9 @@ testbed of Fig. 2.10.
 One step of operator, allocation, autopilot and vehicle every tenth of a second.
 """
 
+from collections import namedtuple
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,8 +38,10 @@ WANDER_TIME, SHAKE_TIME = 6.0, 0.1
 DRIFT_TIME, ANCHORING_TIME = 40.0, 2.0
 
 LEADER = TrackingTask(size_x=6.0, size_y=4.0, speed=0.3)
-NOTE = "simulated stand-in for the UAV testbed of Fig. 2.10"
-MEASURED = f"Section 2.4.2, e_max {E_MAX:g} m, Δu_max {U_MAX:g} m/s"
+FACTS = {
+    "note": "simulated stand-in for the UAV testbed of Fig. 2.10",
+    "performance": f"Section 2.4.2, e_max {E_MAX:g} m, Δu_max {U_MAX:g} m/s",
+}
 
 # Means of |x| + |y| and of √(x² + y²) for x and y normal with unit variance.
 MEAN_1, MEAN_2 = 2.0 * np.sqrt(2.0 / np.pi), np.sqrt(np.pi / 2.0)
@@ -55,7 +57,8 @@ LOG = record(
 )
 
 # What a step reads and leaves. Of the hand what it has made of what it saw, where it wanders and
-# how it shakes; drift: how far beside the leader the autopilot believes it to be.
+# how it shakes; drift: how far beside the leader the autopilot believes it to be, in units of
+# FLIGHT's drift.
 STATE = record(
     planar="position velocity acceleration hand wander shake drift",
     numbers=NUMBERS,
@@ -72,31 +75,13 @@ FLIGHT = record(
 )
 
 
-class FlightSetup(NamedTuple):
-    """
-    What stays the same in all samples; `flight` is a record of FLIGHT, `person` an operator's
-    numbers, the leader's position and velocity have shape (N,).
-    """
+# What stays the same in all samples; `flight` is a record of FLIGHT, `person` an operator's
+# numbers, the leader's position and velocity have shape (N,).
+FlightSetup = namedtuple("FlightSetup", "task flight person position velocity")
 
-    task: Task
-    flight: np.void
-    person: Any
-    position: np.ndarray
-    velocity: np.ndarray
-
-
-class FlightState(NamedTuple):
-    """
-    What samples hand on: one record of STATE, the noise of sensing, of the hand and of decisions,
-    and performance in each sample.
-    """
-
-    now: np.ndarray
-    sensing: np.random.Generator
-    hand: np.random.Generator
-    choices: np.random.Generator
-    z_r: np.ndarray
-    z_h: np.ndarray
+# What samples hand on: one record of STATE, the noise of sensing, of the hand and of decisions, and
+# performance in each sample.
+FlightState = namedtuple("FlightState", "now sensing hand choices z_r z_h")
 
 
 @inner
@@ -152,10 +137,8 @@ def fly(flight, row, now, sensing):
         now.drift = flight.keeps_anchor * now.drift
         u = row.u_h
     else:
-        spread = flight.drift * np.sqrt(1.0 - flight.keeps_drift**2)
-        fresh = complex(sensing.standard_normal(), sensing.standard_normal())
-        now.drift = flight.keeps_drift * now.drift + spread * fresh
-        u = row.u_i + GAIN * now.drift
+        now.drift = noise(now.drift, flight.keeps_drift, sensing)
+        u = row.u_i + GAIN * flight.drift * now.drift
     v, a = now.velocity, now.acceleration
     moves, driven = flight.moves, flight.driven
     now.position += SAMPLE_TIME * v
@@ -184,7 +167,7 @@ def follow(first, stop, setup, state, inputs, log):
     """
     Follow the leader, as a kernel of `Simulation`.
 
-    setup: a `FlightSetup`. state: a `FlightState`. inputs, log: records of INPUT and of LOG.
+    setup: a `FlightSetup`. state: a `FlightState`. inputs: modes, or NaN. log: records of LOG.
     """
     task, person = setup.task, setup.person
     now = state.now[0]
@@ -230,6 +213,6 @@ def flown(
     leader = np.array(LEADER.path(deciding.sample_times(SAMPLES), 0.0, phase)) @ (1.0, 1j, 0.0)
     setup = FlightSetup(task, flight_of(operator.hand_lag), operator.numbers, *leader)
     state = FlightState(np.zeros(1, STATE), sensing, hand, choices, z_r, z_h)
-    run = Simulation(follow, setup, state, deciding.no_inputs(SAMPLES), log, decide)
+    run = Simulation(follow, setup, state, np.full(SAMPLES, np.nan), log, decide)
     run.advance(SAMPLES)
     return log

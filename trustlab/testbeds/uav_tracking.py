@@ -9,7 +9,6 @@ is stepped or run, and what is drawn at random. One sample is `teleoperate` in
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -36,7 +35,7 @@ from trustlab.models.checks import (
 )
 from trustlab.models.records import coloured
 from trustlab.models.simulation import Loop, Simulation, View, compiled_for, filled
-from trustlab.models.uav import PRINTED_UAV, TransferFunction, three_axes
+from trustlab.models.uav import TransferFunction, three_axes
 from trustlab.operators.teleoperator import REACH, Teleoperator
 from trustlab.sessions.session import Metadata, Session, keep_table
 from trustlab.teleoperation.delays import (
@@ -82,7 +81,6 @@ from trustlab.trust.interface import TrustDynamics
 NOTE = "simulated stand-in for the UAV testbeds of Figs. 3.12 and 3.15"
 
 
-@cache
 def tracking_vehicle() -> tuple[TransferFunction, ...]:
     """
     Return the UAV of (A.1) under a low-level velocity controller, as Section 3.6 assumes one.
@@ -91,12 +89,8 @@ def tracking_vehicle() -> tuple[TransferFunction, ...]:
     and at −ω for order one. The printed PD controller of Appendix A does not stabilise (A.1) by
     itself on x and y.
     """
-    omega = 4.0
-    first, second = (
-        TransferFunction(omega, (omega,)),
-        TransferFunction(omega**2, (2.0 * omega, omega**2)),
-    )
-    return tuple(first if model.order == 1 else second for model in PRINTED_UAV.values())
+    planar = TransferFunction(16.0, (8.0, 16.0))
+    return planar, planar, TransferFunction(4.0, (4.0,))
 
 
 @dataclass(frozen=True)
@@ -190,13 +184,13 @@ class TrackingTask(Checked):
         """
         t, phase = finite_array("t", t), finite_number("phase", phase)
         height = finite_number("height", height)
-        # for a root mean square speed of `speed`
-        rate = self.speed / np.sqrt(0.5 * self.size_x**2 + 2.0 * self.size_y**2)
+        x, y = self.size_x, self.size_y
+        rate = self.speed / np.sqrt(0.5 * x**2 + 2.0 * y**2)  # root mean square speed: `speed`
         turn = rate * t + phase
-        x, y = self.size_x * np.sin(turn), self.size_y * np.sin(2 * turn)
-        v_x = self.size_x * rate * np.cos(turn)
-        v_y = 2 * self.size_y * rate * np.cos(2 * turn)
-        position = np.column_stack([x, y, np.full(t.size, height)])
+        position = np.column_stack(
+            [x * np.sin(turn), y * np.sin(2 * turn), np.full(t.size, height)]
+        )
+        v_x, v_y = x * rate * np.cos(turn), 2 * y * rate * np.cos(2 * turn)
         return position, np.column_stack([v_x, v_y, np.zeros(t.size)])
 
 
@@ -314,19 +308,18 @@ class TeleoperationLoop(Loop):
         whole = state_of(self.settings, self.guidance, start)
         self.state = View(whole)
         if self.scheme.shares == "optimal":
-            hooks["scheme"] = optimal(numbers, whole)
+            share = compiled_for(optimal_share, numbers, whole)
+            hooks["scheme"] = lambda view: (share(numbers, whole), view.beta_max)
         inputs = drawn(self.settings, self.task, self.operator, count + 1, seeds)
-        arrives = np.ones((2, count), bool)
+        arrives = given.pop("arrives", np.ones((count, 2)))
         for name, signal in given.items():
-            if name == "arrives":
-                arrives[:] = signal.T
-            else:
-                inputs[name][:-1] = signal
+            inputs[name][:-1] = signal
         # Inputs and delays have a row more than the log: padding, for a pause that nobody uses.
         follows_error = self.guidance.where == "through_channel"
         names = {"alpha", *given}
         decide = asking(hooks, self.state, whole, names, self._bounds, follows_error)
-        setup = LoopSetup(numbers, np.pad(delays, ((0, 0), (0, 1)), "edge"), arrives)
+        delays = np.pad(delays, ((0, 0), (0, 1)), "edge")
+        setup = LoopSetup(numbers, delays, np.ascontiguousarray(arrives.T, bool))
         self.simulation = Simulation(
             teleoperate,
             setup,
@@ -344,8 +337,8 @@ class TeleoperationLoop(Loop):
         if is_state_space(vehicle):
             vehicle = state_space(*vehicle)
         if isinstance(trust, TrustInLoop):
-            ranges = settings.human_to_robot, settings.robot_to_human
-            trust = trust.part(*ranges, settings.sample_time)
+            models = settings.human_to_robot, settings.robot_to_human
+            trust = trust.part(*models, settings.sample_time)
         if trust is not None:
             function("trust", trust)
         hooks = {
@@ -370,11 +363,12 @@ class TeleoperationLoop(Loop):
         late = max(round(task.camera_delay / T), 1)
         # what a function sets stays until it is asked again
         flies: dict[str, Any] = {"flight": np.eye(3, 4)}
-        if "vehicle" not in hooks:
-            axes = tracking_vehicle() if task.vehicle is None else three_axes(task.vehicle)
+        vehicle = tracking_vehicle() if task.vehicle is None else task.vehicle
+        axes = None if "vehicle" in hooks else three_axes(vehicle)
+        if axes:
             flies["flight"] = vehicle_matrices(axes, T)
         if shares == "optimal":
-            if "vehicle" in hooks:
+            if not axes:
                 raise ValueError(
                     "scheme OMI predicts with three TransferFunction: give the vehicle as these"
                 )
@@ -458,7 +452,7 @@ class TeleoperationLoop(Loop):
             if not np.isnan(inputs[name]).all()
         }
         for name in {"trust_hr", "trust_rh"} & {*signals}:  # nobody is asked for it at the start
-            signals[name][:1] = self.simulation.log[name][: min(run.done, 1)]
+            signals[name][:1] = run.log[name][: min(run.done, 1)]
         if self.scheme.bilateral:
             signals["arrives"] = run.setup.arrives[:, : run.done].T.copy()
         return signals
@@ -565,16 +559,6 @@ def checked_signals(signals: Any, count: int, bounds: Mapping) -> dict[str, np.n
     return checked
 
 
-def optimal(numbers: np.ndarray, whole: np.ndarray) -> Callable:
-    """Return scheme OMI as a function of the state."""
-    share = compiled_for(optimal_share, numbers, whole)
-
-    def shares(view: View) -> tuple[float, float]:
-        return share(numbers, whole), view.beta_max
-
-    return shares
-
-
 def drawn(settings, task, operator, count, seeds) -> np.ndarray:
     """
     Return what is drawn from the seeds, records of INPUT; a longer draw begins with the shorter
@@ -594,16 +578,11 @@ def drawn(settings, task, operator, count, seeds) -> np.ndarray:
 
 
 def _losses(task: TrackingTask, count: int, sample_time: float, rng) -> np.ndarray:
-    """Return whether the autonomous controller sees its target, per sample."""
-    detected = np.ones(count, bool)
-    k = 0
-    sees = True
-    while k < count:
-        length = rng.exponential(task.failure_every if sees else task.failure_length)
-        until = k + max(round(length / sample_time), 1)
-        detected[k:until] = sees
-        k, sees = until, not sees
-    return detected
+    """Return whether the autonomous controller sees its target, per sample, in turns."""
+    means = np.resize([task.failure_every, task.failure_length], count)
+    lengths = np.maximum(np.round(rng.exponential(means) / sample_time), 1.0)
+    turn = np.searchsorted(np.cumsum(lengths), np.arange(count), side="right")
+    return turn % 2 == 0
 
 
 def delays_of(settings: LoopSettings, delay: Any, count: int, seeds) -> np.ndarray:
@@ -612,6 +591,6 @@ def delays_of(settings: LoopSettings, delay: Any, count: int, seeds) -> np.ndarr
     ways, T = both_ways(delay), settings.sample_time
     for name, child in zip(ways, seeds, strict=True):
         if ways[name] is None:
-            seed = np.random.SeedSequence(int(np.random.default_rng(child).integers(1 << 62)))
+            seed = int(np.random.default_rng(child).integers(1 << 62))
             ways[name] = random_walk_delay(max(low, T), high, rate, seed)
     return delays_in_samples(ways, rate, count, T)

@@ -23,7 +23,7 @@ from trustlab.live.study.recorded import write_export
 from trustlab.live.task import scripted_commands
 from trustlab.live.tasks.ground_robot import TASK, drive_config, model_of
 from trustlab.testbeds import published_operator
-from trustlab.testbeds.ground_robot.conditions import drive_modes
+from trustlab.testbeds.ground_robot.kernel import drive_modes
 
 pytestmark = pytest.mark.xdist_group("recorded")  # one worker rehearses the studies of all
 TURNED = list(tl.TRUST_CHECKLIST.reversed)

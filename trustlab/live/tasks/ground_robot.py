@@ -34,7 +34,6 @@ from trustlab.testbeds.deciding import (
     suggest,
 )
 from trustlab.testbeds.ground_robot import kernel
-from trustlab.testbeds.ground_robot.conditions import E_MAX, SLOWEST
 from trustlab.testbeds.ground_robot.course import (
     Course,
     CourseNumbers,
@@ -43,14 +42,17 @@ from trustlab.testbeds.ground_robot.course import (
 )
 from trustlab.testbeds.ground_robot.kernel import (
     COLUMNS,
+    E_MAX,
     LOG,
+    SLOWEST,
+    Pioneer,
+    PioneerNumbers,
     enter,
     locate,
     perform,
     place,
     roll,
 )
-from trustlab.testbeds.ground_robot.pioneer import Pioneer, PioneerNumbers
 from trustlab.testbeds.populations import printed_person
 
 DRIVES = {**CONDITIONS, "training": (OWN, False), "identification": (SCHEDULE, False)}
@@ -433,7 +435,7 @@ def drive_measures(session: Session) -> dict[str, float]:
     """Return the measures of `run_condition`."""
     about = session.metadata
     laps = np.asarray(about.more["lap_times"], dtype=float)
-    return condition_measures(session, session.t, str(about.condition), lap_times=laps)
+    return condition_measures(session, session.t, laps)
 
 
 TASK = LiveTask(

@@ -1,7 +1,7 @@
 """The closed course that the ground robot follows, and the guide posts beside it."""
 
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,14 +66,7 @@ def angle_of(vector):
 @inner(_nrt=False)
 def piece_at(s, arcs):
     """Return the piece of a polyline that arc length `s` lies on."""
-    low, high = 0, arcs.size - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if arcs[middle] <= s:
-            low = middle
-        else:
-            high = middle
-    return low
+    return min(np.searchsorted(arcs, s, side="right"), arcs.size - 1) - 1
 
 
 @njit(_nrt=False)
@@ -116,21 +109,10 @@ def path_point(s, course):
 
 def course_numbers(path: Any, posts: Any) -> CourseNumbers:
     """Return a course for compiled loops from its `path` and `posts`."""
-    path, posts = np.asarray(path, float), np.asarray(posts, float)
-    points = path[:, :2] @ (1.0, 1j)
+    x, y, arcs = np.array(path, float).T.copy()
+    points = x + 1j * y
     pieces = np.diff(points)
-    return CourseNumbers(points, pieces / np.abs(pieces), path[:, 2].copy(), posts @ (1.0, 1j))
-
-
-def post_rows(path: CourseNumbers) -> np.ndarray:
-    """Return where posts stand beside a path, left and right in turn."""
-    length = path.arcs[-1]
-    count = max(2, round(length / POST_SPACING))
-    rows = []
-    for i in range(count):
-        point, tangent = path_point((i + 0.5) * length / count, path)
-        rows += [point + side * tangent for side in (1j * HALF_WIDTH, -1j * HALF_WIDTH)]
-    return np.array(rows)
+    return CourseNumbers(points, pieces / np.abs(pieces), arcs, np.asarray(posts) @ (1.0, 1j))
 
 
 @dataclass(frozen=True)
@@ -166,7 +148,6 @@ class Course(Checked):
 
     corners: tuple[tuple[float, float], ...] = CORNERS
     radius: NotNegative = 1.75
-    _numbers: CourseNumbers = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
         corners = finite_numbers("corners", self.corners)
@@ -175,30 +156,27 @@ class Course(Checked):
                 f"corners must be three pairs (x, y) or more, got {shown(self.corners)}"
             )
         super().__post_init__()
-        around = float(np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum())
-        if around > LONGEST:
-            raise ValueError(f"a lap may be {LONGEST:g} m long, got corners {around:.4g} m around")
         self.__dict__["corners"] = tuple(map(tuple, corners.tolist()))
-        points, tangents, arcs = self._rounded(corners)
-        path = CourseNumbers(points, tangents, arcs, posts=np.empty(0))
-        self.__dict__["_numbers"] = path._replace(posts=post_rows(path))
+        if self.length > LONGEST:
+            raise ValueError(f"a lap may be {LONGEST:g} m long, got corners of {self.length:.4g} m")
 
-    def _rounded(self, corners: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return the points of the path, closed, the tangents of its pieces, and arc lengths."""
-        places = corners @ (1.0, 1j)
+    @cached_property
+    def path(self) -> np.ndarray:
+        """
+        The path as a closed polyline, shape (N, 3): x, y and arc length s [m]; the last row is the
+        first point.
+        """
+        places = np.array(self.corners) @ (1.0, 1j)
         ahead = np.roll(places, -1) - places
         side = np.abs(ahead)
-        if (side == 0.0).any():
-            raise ValueError(
-                f"corner {int(np.argmax(side == 0.0))} of the course is there twice in a row"
-            )
-        out = ahead / side
+        out = ahead / np.maximum(side, 1e-300)
         into = np.roll(out, 1)
         turn = np.angle(out * into.conj())
         cut = self.radius * np.abs(np.tan(turn / 2.0))
         needed = cut + np.roll(cut, -1)
-        if (needed > side).any():
-            i = int(np.argmax(needed > side))
+        short = (needed > side) | (side == 0.0)
+        if short.any():
+            i = int(short.argmax())
             raise ValueError(
                 f"the side from corner {i} is {side[i]:.3g} m long, but its bends of radius "
                 f"{self.radius:g} m take {needed[i]:.3g} m; use a smaller radius or corners "
@@ -212,32 +190,31 @@ class Course(Checked):
         path = np.concatenate([*bends, bends[0][:1]])
         path = path[np.r_[True, np.abs(np.diff(path)) > 1e-9]]
         path[-1] = path[0]
-        pieces = np.diff(path)
-        return path, pieces / np.abs(pieces), np.r_[0.0, np.cumsum(np.abs(pieces))]
-
-    @property
-    def numbers(self) -> CourseNumbers:
-        """The course for compiled loops."""
-        return self._numbers
-
-    @property
-    def path(self) -> np.ndarray:
-        """
-        The path as a closed polyline, shape (N, 3): x, y and arc length s [m]; the last row is the
-        first point.
-        """
-        points, _, arcs, _ = self._numbers
-        return np.column_stack([points.real, points.imag, arcs])
-
-    @property
-    def posts(self) -> np.ndarray:
-        """Positions of the guide posts [m], shape (posts, 2), left and right in turn."""
-        return self._numbers.posts.view(float).reshape(-1, 2).copy()
+        arcs = np.cumsum(np.abs(np.diff(path, prepend=path[0])))
+        rows = np.column_stack([path.real, path.imag, arcs])
+        rows.flags.writeable = False
+        return rows
 
     @property
     def length(self) -> float:
         """Length of a lap [m]."""
-        return float(self._numbers.arcs[-1])
+        return float(self.path[-1, 2])
+
+    @property
+    def posts(self) -> np.ndarray:
+        """Positions of the guide posts [m], shape (posts, 2), left and right in turn."""
+        path = course_numbers(self.path, np.empty((0, 2)))
+        count = max(2, round(self.length / POST_SPACING))
+        rows = []
+        for i in range(count):
+            point, tangent = path_point((i + 0.5) * self.length / count, path)
+            rows += [point + side * tangent for side in (1j * HALF_WIDTH, -1j * HALF_WIDTH)]
+        return np.array(rows).view(float).reshape(-1, 2)
+
+    @cached_property
+    def numbers(self) -> CourseNumbers:
+        """The course for compiled loops."""
+        return course_numbers(self.path, self.posts)
 
 
 @cache

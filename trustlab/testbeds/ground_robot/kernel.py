@@ -1,6 +1,6 @@
 """
-The loop that drives the ground robot: one step of operator, allocation and robot every tenth of a
-second.
+The loop that drives the ground robot, a simulated stand-in for the Stage testbed of Fig. 2.1: one
+step of operator, allocation and robot every tenth of a second; and what is driven by it.
 
 A sample begins at its pause: the robot has been located, the hand has moved and performance has
 been measured. `drive` then lets somebody decide who drives, logs the sample, moves the robot and
@@ -13,35 +13,208 @@ given.
 """
 
 import math
+from collections import namedtuple
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from trustlab.models.checks import (
+    Checked,
+    NotNegative,
+    Positive,
+    Seed,
+    Share,
+    of_class,
+    spawned,
+)
 from trustlab.models.compiled import inner, njit
 from trustlab.models.records import record
-from trustlab.models.simulation import END
-from trustlab.operators.ground_robot import driving_style, joystick
+from trustlab.models.simulation import END, Simulation
+from trustlab.operators.ground_robot import Operator, driving_style, joystick
+from trustlab.sessions.session import Session
 from trustlab.testbeds.deciding import (
     COUNTS,
     FLAGS,
     NUMBERS,
+    SAMPLE_TIME,
+    SCHEDULE,
     Task,
     allocate,
     begin,
+    framed,
     log_decision,
     measure,
+    metadata_of,
     skill_now,
     tire,
 )
 from trustlab.testbeds.ground_robot.course import (
-    CourseNumbers,
+    Course,
     angle_of,
+    default_course,
     direction,
     nearest_point,
     path_point,
     size,
 )
-from trustlab.testbeds.ground_robot.pioneer import scan, wrapped
+
+# Deviation that counts as performance 0 [m], and the least mean speed of a run [m/s].
+E_MAX, SLOWEST = 2.0, 0.15
+# Largest runs that are made: 1.2 GB are nearly twelve days of driving [s].
+MOST_LAPS, MOST_SECONDS = 1000, 1e6
+
+MAKE_OPERATOR = (
+    "make one with trustlab.operators.operator(participant, model) or "
+    "trustlab.testbeds.published_operator(1)"
+)
+FACTS = {
+    "note": "simulated stand-in for the Stage testbed of Fig. 2.1",
+    "performance": "(2.4), (2.7)",
+}
+
+# --- the robot ------------------------------------------------------------------------------------
+
+
+@inner
+def wrapped(angle):
+    """Return the angle in (−π, π]."""
+    return angle - 2.0 * np.pi * np.ceil(angle / (2.0 * np.pi) - 0.5)
+
+
+@inner(_nrt=False)
+def scan(posts, robot, state, sensing):
+    """
+    Compare posts seen with where the estimate has them: mean offset, turn of the pattern, number
+    seen.
+
+    While the operator drives, nothing is compared, but the noise is drawn all the same.
+    """
+    # Sums over posts seen: their ways from the robot, how far the estimate has them from there, and
+    # products of both, dot and cross product in one.
+    ways = offs = products = 0j
+    seen = 0
+    heading, half = direction(state.yaw), 0.5 * robot.field_of_view
+    edge = np.cos(half) if half < np.pi else -2.0
+    for post in posts:
+        way = post - state.place
+        square = way.real**2 + way.imag**2
+        if square > robot.scan_range**2:
+            continue
+        distance = np.sqrt(square)
+        # how far ahead a post stands tells whether it is in view without an angle
+        if heading.real * way.real + heading.imag * way.imag < edge * distance:
+            continue
+        if sensing.random() > robot.detection:
+            continue
+        far = robot.range_noise * sensing.standard_normal()
+        aside = robot.bearing_noise * sensing.standard_normal()
+        if state.mode == 1:
+            continue
+        # Where the estimate has the post: what was seen, turned by the errors of bearing and of the
+        # estimated heading.
+        longer = 1.0 + far / max(distance, 1e-9)
+        shown = longer * (direction(state.heading_error + aside) * way)
+        ways += way
+        offs += shown - way
+        products += shown * way.conjugate()
+        seen += 1
+    if seen == 0:
+        return 0j, 0.0, 0
+    off = offs / seen
+    # products of what lies beside the mean
+    products -= (ways / seen + off) * ways.conjugate()
+    turn = angle_of(products) if seen > 1 else 0.0
+    return state.est - state.place + off, turn, seen
+
+
+@dataclass(frozen=True)
+class Pioneer(Checked):
+    """
+    A Pioneer-like robot (a unicycle) that finds its way by a laser scanner, guide posts and
+    odometry.
+
+    The autonomous controller is two proportional laws, on heading, w = steering_gain · (angle to
+    the path point look_ahead ahead), and on speed, v = cruise_speed − speed_gain · (how far posts
+    stand from where they are expected). Both work from an estimate of the pose that odometry
+    carries on with a heading that is a little off, so that it drifts with distance, and that every
+    post seen pulls back by a small share of the mismatch. While the operator drives between the
+    posts the estimate is anchored anew.
+
+    Parameters
+    ----------
+    max_speed, max_turn_rate : float
+        Limits of speed [m/s] and turn rate [rad/s], for the operator's commands too.
+    max_acceleration, max_turn_acceleration : float
+        Limits of their rates of change [m/s², rad/s²].
+    scan_range, field_of_view : float
+        How far [m] and in how wide an angle ahead [rad] the scanner sees posts.
+    detection : float
+        Probability that a post in view is found in a scan; ten scans a second.
+    range_noise, bearing_noise : float
+        Standard deviations of measured range [m] and bearing [rad].
+    heading_drift : float
+        How much the odometry's heading goes wrong per metre [rad/m], positive to the left (wheels
+        of unequal size).
+    heading_noise : float
+        Its random part [rad/√m].
+    position_gain, heading_gain : float
+        Share of the mismatch in place, and in direction, by which a scan corrects the estimate for
+        every post seen (for every post but one).
+    anchoring_time : float
+        Time constant with which the estimate is anchored while the operator drives [s].
+    look_ahead : float
+        How far ahead on the path the heading law aims [m].
+    steering_gain : float
+        Turn rate per angle to that point [1/s].
+    cruise_speed, search_speed : float
+        Speed when posts stand where they are expected, and when none is seen [m/s].
+    speed_gain : float
+        Speed given up per metre of mismatch [1/s].
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, negative, or a share above 1.
+
+    Notes
+    -----
+    A simulated stand-in for the robot of the Stage testbed (Fig. 2.1). The defaults are calibrated
+    so that performance (2.4), left alone for long, has the size of Remark 7; they are not
+    measurements of a robot.
+    """
+
+    max_speed: Positive = 0.7
+    max_turn_rate: Positive = 1.0
+    max_acceleration: Positive = 0.5
+    max_turn_acceleration: Positive = 3.0
+    scan_range: NotNegative = 4.0
+    field_of_view: NotNegative = np.pi
+    detection: Share = 0.8
+    range_noise: NotNegative = 0.05
+    bearing_noise: NotNegative = 0.02
+    heading_drift: float = -0.042
+    heading_noise: NotNegative = 0.01
+    position_gain: Share = 0.003
+    heading_gain: Share = 0.0016
+    anchoring_time: Positive = 2.0
+    look_ahead: Positive = 1.2
+    steering_gain: Positive = 1.2
+    cruise_speed: Positive = 0.425
+    speed_gain: NotNegative = 0.03
+    search_speed: NotNegative = 0.3
+
+    @property
+    def numbers(self) -> Any:
+        """The robot as plain numbers for compiled loops, by the names that they have here."""
+        return PioneerNumbers(**vars(self))
+
+
+PioneerNumbers = namedtuple("PioneerNumbers", Pioneer.__match_args__)  # type: ignore[misc]
+
+
+# --- a sample -------------------------------------------------------------------------------------
 
 # Correlation time of the hand's shaking [s].
 SHAKING = 0.25
@@ -83,30 +256,12 @@ def rates_of(person: Any, robot: Any, dt: float) -> Rates:
     return Rates(stays, shakes, new_wander, new_shaking, grip=1.0 - lags, anchor=1.0 - drifts)
 
 
-class DriveSetup(NamedTuple):
-    """What stays the same in all samples; robot and person are numbers of theirs."""
+# What stays the same in all samples; robot and person are numbers of theirs.
+DriveSetup = namedtuple("DriveSetup", "task course robot person rates")
 
-    task: Task
-    course: CourseNumbers
-    robot: Any
-    person: Any
-    rates: Rates
-
-
-class DriveState(NamedTuple):
-    """
-    What samples hand on: one record of STATE, the noise of sensing, of the hand and of decisions,
-    what is kept of each sample, and when laps ended [s].
-    """
-
-    now: np.ndarray
-    sensing: np.random.Generator
-    hand: np.random.Generator
-    choices: np.random.Generator
-    arc: np.ndarray
-    z_r: np.ndarray
-    z_h: np.ndarray
-    lap_times: np.ndarray
+# What samples hand on: one record of STATE, the noise of sensing, of the hand and of decisions,
+# what is kept of each sample, and when laps ended [s].
+DriveState = namedtuple("DriveState", "now sensing hand choices arc z_r z_h lap_times")
 
 
 @inner
@@ -119,7 +274,7 @@ def limited(command, now, largest, step):
 
 
 @inner
-def operate(task, person, robot, rates, before, arc, course, state, hand):
+def operate(setup, before, arc, state, hand):
     """
     Move the operator's hand: it acts on where the robot was a delay ago (`before`, a row of the
     log, at arc length `arc`).
@@ -127,12 +282,13 @@ def operate(task, person, robot, rates, before, arc, course, state, hand):
     Skill follows utilization, (2.5)-(2.6); wander about the path and shaking of the hand are
     coloured noise.
     """
-    skill = skill_now(task, person, state)
+    person, robot, rates = setup.person, setup.robot, setup.rates
+    skill = skill_now(setup.task, person, state)
     speed, spread, activity = driving_style(skill, person.robot_floor, person.robot_gain)
     state.wander = rates.stays * state.wander + rates.new_wander * hand.standard_normal()
     state.shaking = rates.shakes * state.shaking + rates.new_shaking * hand.standard_normal()
     if arc >= 0.0:
-        point, tangent = path_point(arc + person.look_ahead, course)
+        point, tangent = path_point(arc + person.look_ahead, setup.course)
         aside = person.noise * spread * state.wander
         aim = point + 1j * aside * tangent - complex(before.robot_x, before.robot_y)
         bearing = wrapped(angle_of(aim) - before.yaw)
@@ -149,11 +305,10 @@ def operate(task, person, robot, rates, before, arc, course, state, hand):
 @inner
 def place(course, robot, dt, state):
     """Put the robot on the path, rolling."""
-    state.place, tangent = path_point(0.0, course)
+    start, tangent = path_point(0.0, course)
+    state.place = state.est = start
     state.yaw = angle_of(tangent)
-    state.v = robot.cruise_speed
-    state.v_hand = robot.cruise_speed
-    state.est = state.place
+    state.v = state.v_hand = robot.cruise_speed
     state.moved = state.v * dt
 
 
@@ -231,17 +386,16 @@ def roll(robot, anchor, dt, course, state, sensing):
 @inner(_nrt=False)
 def sense(k, setup, state, log):
     """Come to the pause of sample k: locate the robot, move the hand, measure performance."""
-    task, person = setup.task, setup.person
-    now, row = state.now[0], log[k]
+    task, now, row = setup.task, state.now[0], log[k]
     dt = task.sample_time
     if locate(setup.course, k, row, now) and now.laps <= state.lap_times.size:
         state.lap_times[now.laps - 1] = k * dt
     state.arc[k] = now.arc
-    delay = round(person.delay / dt)
+    delay = round(setup.person.delay / dt)
     seen = max(k - delay, 0)
     # at first nothing has been seen yet
     arc = state.arc[seen] if k >= delay else -1.0
-    operate(task, person, setup.robot, setup.rates, log[seen], arc, setup.course, now, state.hand)
+    operate(setup, log[seen], arc, now, state.hand)
     perform(task, k, state.z_r, state.z_h, row, now)
 
 
@@ -250,7 +404,7 @@ def drive(first, stop, setup, state, inputs, log):
     """
     Drive, as a kernel of `Simulation`, until `stop` or until all laps are done.
 
-    setup: a `DriveSetup`. state: a `DriveState`. inputs, log: records of INPUT and of LOG.
+    setup: a `DriveSetup`. state: a `DriveState`. inputs: modes, or NaN. log: records of LOG.
     """
     task, person = setup.task, setup.person
     now, dt = state.now[0], task.sample_time
@@ -269,3 +423,97 @@ def drive(first, stop, setup, state, inputs, log):
         if k + 1 < log.size:
             sense(k + 1, setup, state, log)
     return stop, -1
+
+
+# --- what is driven -------------------------------------------------------------------------------
+
+
+def drive_modes(
+    mode: np.ndarray,
+    operator: Operator,
+    seed: Seed = 0,
+    robot: Pioneer | None = None,
+    r0: float = 0.0,
+    condition: str = "given modes",
+) -> Session:
+    """
+    Return the session of a drive with these modes, 1 manual or 0 autonomous, every 0.1 s, without
+    tsc and suggested_mode; it begins at the utilization r0.
+    """
+    of_class("operator", operator, Operator, MAKE_OPERATOR)
+    task = Task(SCHEDULE, E_MAX, first_mode=int(mode[0]), r0=r0)
+    log, _ = driven(task, robot or Pioneer(), default_course(), operator, seed, mode.astype(float))
+    metadata = metadata_of("ground_robot", operator, condition, seed, **FACTS)
+    return Session(framed(log).drop(columns=["tsc", "suggested_mode"]), metadata)
+
+
+def identification_session(operator: Operator, seed: Seed = 0) -> Session:
+    """
+    Drive what Section 2.2.2 identifies a model from: manual up to the maximum and autonomous down
+    to the minimum, 800 s each, then four mixed phases of 300 to 500 s, manual and autonomous in
+    turn.
+
+    Parameters
+    ----------
+    operator : Operator
+        Who drives.
+    seed : int or numpy.random.SeedSequence
+        As for `run_condition`; the lengths of the mixed phases are drawn from a fourth stream.
+
+    Returns
+    -------
+    Session
+        At 10 Hz, for `fit_robot`, `fit_human` and `fit_tsc`.
+
+    Raises
+    ------
+    ValueError
+        If an argument is not understood.
+    """
+    stream = np.random.default_rng(spawned(seed, 4)[3])
+    lengths = np.r_[800.0, 800.0, stream.uniform(300.0, 500.0, size=4)]
+    samples = np.round(lengths / SAMPLE_TIME).astype(int)
+    mode = np.repeat(1 - np.arange(samples.size) % 2, samples)
+    return drive_modes(mode, operator, seed, condition="identification")
+
+
+def driven(
+    task: Task,
+    robot: Pioneer,
+    course: Course,
+    operator: Operator,
+    seed: Seed,
+    inputs: np.ndarray | None = None,
+    decide: Callable | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the log of a run, and when laps ended; all that are wanted must be done in time.
+
+    Without laps a run has as many samples as `inputs`.
+    """
+    if inputs is None:
+        seconds = task.laps * course.length / SLOWEST
+        if seconds > MOST_SECONDS:
+            raise ValueError(
+                f"{task.laps} laps of {course.length:.3g} m would take up to {seconds:.3g} s, more "
+                f"than the {MOST_SECONDS:g} s that one run may last; split it into several runs"
+            )
+        inputs = np.full(int(np.ceil(seconds / SAMPLE_TIME)) + 1, np.nan)
+    count = inputs.size
+    rates = rates_of(operator, robot, task.sample_time)
+    setup = DriveSetup(task, course.numbers, robot.numbers, operator.numbers, rates)
+    sensing, hand, choices = map(np.random.default_rng, spawned(seed, 3))
+    arc, z_r, z_h = np.empty((3, count))
+    now, lap_times = np.zeros(1, STATE), np.empty(task.laps)
+    state = DriveState(now, sensing, hand, choices, arc, z_r, z_h, lap_times)
+    log = np.empty(count, LOG)
+    run = Simulation(drive, setup, state, inputs, log, decide)
+    run.advance(count)
+    done = int(now["laps"][0])
+    if done < task.laps:
+        raise ValueError(
+            f"only {done} of {task.laps} laps were done in {count * SAMPLE_TIME:.0f} s "
+            f"(an average of {SLOWEST} m/s would do): this robot or operator does not keep to the "
+            "course; check their parameters"
+        )
+    return log[: run.done], lap_times
