@@ -89,8 +89,7 @@ NOTICED_BY = {
     "studies/test_pairs.py": "studies/anova",
     "studies/test_power.py": "studies/population",
     "studies/test_repeated_measures.py": "studies/table studies/words",
-    "reproduction/test_printed.py": "models/published "
-    "reproduction/printed reproduction/published",
+    "reproduction/test_printed.py": "models/published reproduction/printed reproduction/published",
     "reproduction/audit/test_audit.py": "reproduction/audit/*",
     "reproduction/audit/test_verdict.py": "reproduction/audit/*",
     "reproduction/reconstruction/test_feasibility.py": "reproduction/reconstruction/*",

@@ -209,11 +209,12 @@ class PublishedStudy:
 
 def _printed(key: str, value: object) -> dict[str, str]:
     """Return printed numbers by name."""
-    for name, text in table_of(key, value).items():
+    printed = dict(table_of(key, value))
+    for name, text in printed.items():
         if key in STATISTICS:
             one_of(f"a statistic of {key}", name, STATISTICS[key])
         printed_interval(text, f"{key}.{name}")
-    return dict(value)
+    return printed
 
 
 def _names(key: str, value: Iterable[str]) -> tuple[str, ...]:

@@ -170,7 +170,8 @@ def _under(study: PublishedStudy, reading: Reading) -> dict[str, str]:
     factor = np.array([reading.rounded or 1.0])
     if reading.p and not reading.rounded:
         # At a given F, p may be greatest between the ends of ε.
-        factor = np.linspace(*np.clip(epsilon, 1.0 / (k - 1), 1.0), 1001)
+        low, high = np.clip(epsilon, 1.0 / (k - 1), 1.0)
+        factor = np.linspace(low, high, 1001)
     df = (k - 1) * factor[:, None]
     p = special.fdtrc(df, df * (n - 1), f_ratio)
     return wrong | _contradicted(known, {"anova.p": p}, "F and its degrees of freedom give")
