@@ -1,6 +1,7 @@
 from .channel import (
     ChannelRun as ChannelRun,
     EnergyLedger as EnergyLedger,
+    PassivityController as PassivityController,
     channel_run as channel_run,
 )
 from .delays import (
@@ -28,7 +29,6 @@ from .loop.settings import (
 )
 from .ports import (
     HapticDevice as HapticDevice,
-    PassivityController as PassivityController,
     PassivityError as PassivityError,
     Scattering as Scattering,
 )

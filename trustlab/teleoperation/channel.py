@@ -1,6 +1,6 @@
 """
 The communication channel by itself, any signals at its ports: with scales (Theorem 3), and switched
-between leaders (4.7); and a ledger of packets.
+between leaders (4.7); a ledger of packets, and a passivity controller of a port.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,15 @@ from trustlab.models.compiled import njit
 from trustlab.models.records import signals
 from trustlab.teleoperation import ports
 from trustlab.teleoperation.delays import delays_in_samples
-from trustlab.teleoperation.ports import END, Scattering, accounts, amplitude, read_waves
+from trustlab.teleoperation.ports import (
+    END,
+    METHODS,
+    Scattering,
+    accounts,
+    amplitude,
+    demanded,
+    read_waves,
+)
 
 # How delayed waves are read.
 READ_OUTS = ("ledger", "interpolated", "hold")
@@ -337,3 +345,93 @@ class EnergyLedger:
         out = self._wave * share
         self.given += self._energy(out)
         return out
+
+
+# --- the passivity controller of a port, (3.19)-(3.20) -------------------------------------------
+
+
+class Controlled(NamedTuple):
+    """
+    What a passivity controller did with one sample.
+
+    Parameters
+    ----------
+    force : numpy.ndarray, shape (n,)
+        f = f' + z v [N].
+    z : float
+        Damping injected [N s/m].
+    energy : float
+        Energy observed up to and with this sample [J].
+    deficit : float
+        How far it is below zero [J].
+    """
+
+    force: np.ndarray
+    z: float
+    energy: float
+    deficit: float
+
+
+class PassivityController:
+    """
+    Keep a port with velocity input and force output from giving out more energy than it took,
+    (3.19)-(3.20).
+
+    f = f' + z v. In discrete time the observed energy, attribute `energy` [J], is never exactly
+    zero, so that it is tested for ≤ 0.
+
+    Parameters
+    ----------
+    sample_time : float
+        T [s].
+    method : {"cancel", "repay"}
+        "cancel" is the printed rule: while the observed energy is ≤ 0, negative power is cancelled,
+        z = −vᵀf'/‖v‖². The force never grows, and the energy undershoots zero by at most T|vᵀf'| of
+        one sample. "repay" is Hannaford and Ryu's: the sample that would end below zero is damped
+        so that it ends at zero; forces can spike.
+
+    Raises
+    ------
+    ValueError
+        If the sample time is not positive or the method is unknown.
+
+    Notes
+    -----
+    B. Hannaford, J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Trans.
+    Robotics and Automation 18(1), 2002.
+
+    Examples
+    --------
+    >>> import trustlab as tl
+    >>> controller = tl.PassivityController(sample_time=0.01)
+    >>> controller.step([1.0], [-2.0]).force.tolist()
+    [0.0]
+    """
+
+    def __init__(self, sample_time: float, method: str = "cancel"):
+        self.sample_time = positive("sample_time", sample_time)
+        self.method = one_of("method", method, ("cancel", "repay"))
+        self.energy = 0.0
+
+    def step(self, velocity: np.ndarray, force: np.ndarray) -> Controlled:
+        """
+        Return the force to apply in this sample.
+
+        Parameters
+        ----------
+        velocity, force : array_like, shape (n,)
+            v [m/s] into the port and f' [N] out of the guarded system.
+
+        Raises
+        ------
+        ValueError
+            If they are not finite or differ in shape; the observed energy stays what it was.
+        """
+        v = finite_array("velocity", velocity)
+        f = finite_array("force", force, length=v.size)
+        power, square = float(v @ f), float(v @ v)
+        demand = demanded.py_func(METHODS[self.method], self.energy, power, self.sample_time)
+        acts = square > 0.0 and not np.isnan(demand)
+        z = (demand - power) / square if acts else 0.0
+        self.energy += self.sample_time * (power + z * square)
+        return Controlled(f + z * v, z, self.energy, max(-self.energy, 0.0))

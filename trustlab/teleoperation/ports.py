@@ -2,7 +2,8 @@
 What stands at the ports of a teleoperation loop, with its compiled equations: the scattering
 transformation with variable power scaling, (3.12)-(3.14) and (3.22), and how its waves are read
 when they arrive late; the haptic device with its passivating loop, (3.8)-(3.11), and static force
-scaling, (3.25); and the passivity controller of a port, (3.19)-(3.20).
+scaling, (3.25); and what a passivity controller asks of a port,
+(3.19)-(3.20).
 """
 
 import math
@@ -17,7 +18,6 @@ from trustlab.models.checks import (
     Positive,
     Share,
     finite_array,
-    one_of,
     positive,
     rounded_down,
     rounded_up,
@@ -524,90 +524,3 @@ def activation(power, gain, demand):
     if inner < 0.0 or half <= 0.0:  # the most that the port can take
         return max((gain - power) / (gain + power), 0.0)
     return (demand - power) / (half + np.sqrt(inner))
-
-
-class Controlled(NamedTuple):
-    """
-    What a passivity controller did with one sample.
-
-    Parameters
-    ----------
-    force : numpy.ndarray, shape (n,)
-        f = f' + z v [N].
-    z : float
-        Damping injected [N s/m].
-    energy : float
-        Energy observed up to and with this sample [J].
-    deficit : float
-        How far it is below zero [J].
-    """
-
-    force: np.ndarray
-    z: float
-    energy: float
-    deficit: float
-
-
-class PassivityController:
-    """
-    Keep a port with velocity input and force output from giving out more energy than it took,
-    (3.19)-(3.20).
-
-    f = f' + z v. In discrete time the observed energy, attribute `energy` [J], is never exactly
-    zero, so that it is tested for ≤ 0.
-
-    Parameters
-    ----------
-    sample_time : float
-        T [s].
-    method : {"cancel", "repay"}
-        "cancel" is the printed rule: while the observed energy is ≤ 0, negative power is cancelled,
-        z = −vᵀf'/‖v‖². The force never grows, and the energy undershoots zero by at most T|vᵀf'| of
-        one sample. "repay" is Hannaford and Ryu's: the sample that would end below zero is damped
-        so that it ends at zero; forces can spike.
-
-    Raises
-    ------
-    ValueError
-        If the sample time is not positive or the method is unknown.
-
-    Notes
-    -----
-    B. Hannaford, J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Trans.
-    Robotics and Automation 18(1), 2002.
-
-    Examples
-    --------
-    >>> import trustlab as tl
-    >>> controller = tl.PassivityController(sample_time=0.01)
-    >>> controller.step([1.0], [-2.0]).force.tolist()
-    [0.0]
-    """
-
-    def __init__(self, sample_time: float, method: str = "cancel"):
-        self.sample_time = positive("sample_time", sample_time)
-        self.method = one_of("method", method, ("cancel", "repay"))
-        self.energy = 0.0
-
-    def step(self, velocity: np.ndarray, force: np.ndarray) -> Controlled:
-        """
-        Return the force to apply in this sample.
-
-        Parameters
-        ----------
-        velocity, force : array_like, shape (n,)
-            v [m/s] into the port and f' [N] out of the guarded system.
-
-        Raises
-        ------
-        ValueError
-            If they are not finite or differ in shape; the observed energy stays what it was.
-        """
-        v = finite_array("velocity", velocity)
-        f = finite_array("force", force, length=v.size)
-        power, square = float(v @ f), float(v @ v)
-        demand = demanded.py_func(METHODS[self.method], self.energy, power, self.sample_time)
-        acts = square > 0.0 and not np.isnan(demand)
-        z = (demand - power) / square if acts else 0.0
-        self.energy += self.sample_time * (power + z * square)
-        return Controlled(f + z * v, z, self.energy, max(-self.energy, 0.0))

@@ -160,7 +160,7 @@ class ConditionTestbed(Checked, Testbed):
     name: ClassVar[str]
     title: ClassVar[str]
     module: ClassVar[Any]  # with E_MAX and FACTS
-    numbered: ClassVar[Callable]  # returns who goes by a number or a name
+    _numbered: ClassVar[Callable]  # returns who goes by a number or a name
     laps: ClassVar[int] = 0
     conditions = tuple(KNOWN)
     printed_conditions = tuple(CONDITIONS)
@@ -299,7 +299,7 @@ class GroundRobot(ConditionTestbed):
     name = "ground_robot"
     title = "the ground-robot testbed"
     module: ClassVar[Any] = ground
-    numbered = staticmethod(printed_person)
+    _numbered = staticmethod(printed_person)
     setting_names = ("laps", "rest")
 
     laps: int = 8  # type: ignore[misc]  # of other testbeds a constant
@@ -334,7 +334,7 @@ class UavFollowing(ConditionTestbed):
     title = "the testbed of the UAV that follows a leader"
     module: ClassVar[Any] = flight
     duration = flight.DURATION
-    numbered = staticmethod(following_operator)
+    _numbered = staticmethod(following_operator)
 
     def _simulated(self, task, operator, seed, decide):
         return flight.flown(task, operator, seed, decide), None
@@ -510,7 +510,7 @@ def run_condition(
     if operator is not None:
         who = of_class("operator", operator, Operator, ground.MAKE_OPERATOR)
     if not isinstance(who, Operator):
-        who, own, usual = bed.numbered(str(who))
+        who, own, usual = bed._numbered(str(who))
     model = of_class("model", own if model is None else model, TscModel)
     if r0 is not None:
         who = replace(who, r0=r0)
