@@ -1,8 +1,8 @@
 """
 Run all benchmarks, or those named on the command line, and print one table.
 
-A whole run also writes it to data/benchmarks/, and a page of the book that shows it, with
-date and machine, to docs/benchmarks.md.
+A whole run in which all could be compared also writes it to data/benchmarks/, and a page of the
+book that shows it, with date and machine, to docs/benchmarks.md.
 """
 
 import csv
@@ -124,7 +124,7 @@ def main(names: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    # They count from a process's start.
+    # Variables of the environment that libraries read when they are loaded.
     if any(os.environ.get(name) != value for name, value in SETTING.items()):
         command = [sys.executable, "-m", "benchmarks", *sys.argv[1:]]
         os.execve(sys.executable, command, os.environ | SETTING)

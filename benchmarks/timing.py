@@ -1,4 +1,4 @@
-"""One way to time: two calls in turns, or one against a limit; each gives a row of the table."""
+"""Rows of the table: two calls timed in turns, one against a limit, or times already measured."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Row(NamedTuple):
 
 
 class NotComparedError(Exception):
-    """A peer is not there, or computes something else."""
+    """What a row needs is not there, or a peer computes something else."""
 
 
 def number(value: float) -> str:
@@ -80,8 +80,8 @@ def beside(
     note: str = "",
 ) -> Row:
     """
-    Time ours, the peer, ours, the peer …; the goal is that ours takes at most `limit` milliseconds,
-    and the peer at least `least` times as long. A peer that does only a share of the work has its
+    Time ours, the peer, ours, the peer …; the goal is that ours takes at most `limit` milliseconds
+    and that the peer takes at least `least` times as long. A peer that does only a share of the work has its
     time scaled.
     """
     counts = calls_of(ours), calls_of(theirs)

@@ -29,9 +29,11 @@ from trustlab.publishing.run import (  # noqa: E402
 
 def main(words: list[str] | None = None) -> int:
     """
-    Return 0, 1 if the notebook failed, 2 for a wrong command.
+    Return 0, or 1 if the notebook failed; a wrong command, or a file that cannot be read, exits
+    with 2.
 
-    A notebook that fails is a chapter that says so, and nothing else of it; Make runs it again.
+    A notebook that fails is a chapter that says so, and nothing else of it; one whose data are
+    absent is a chapter that docs/conf.py leaves out. Make runs both again.
     """
     parser = argparse.ArgumentParser(prog="python -m trustlab.publishing", description=__doc__)
     parser.add_argument("notebook", type=Path)

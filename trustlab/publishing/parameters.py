@@ -22,12 +22,12 @@ def only_parameters(space: Mapping[str, Any]) -> None:
     Parameters
     ----------
     space : mapping
-        `globals()` of the notebook, in a cell after its parameters; what was run is in its `In`.
+        `globals()` of the notebook, in a cell after its parameters; `In` has what was run.
 
     Raises
     ------
     ValueError
-        If papermill sets a name that the cell of the parameters does not set, with the nearest.
+        If papermill sets a name that the cell of the parameters does not set; the message suggests the nearest.
     """
     for before, cell in pairwise(space.get("In", ())):
         declared = ASSIGNED.findall(before)
@@ -37,7 +37,7 @@ def only_parameters(space: Mapping[str, Any]) -> None:
 
 
 class DataAbsentError(FileNotFoundError):
-    """Third-party data are not here; a report that needs them is this one line."""
+    """Third-party data are not here; a chapter that needs them is left out of the book."""
 
 
 def required_data(name: str) -> Path:

@@ -124,7 +124,7 @@ def provenance(root: Path, notebook: Path, run: NotebookNode) -> dict[str, str]:
     """
     Return commit, notebook, folders of data that it names, platform, versions, parameters and time.
 
-    The commit holds the notebook, the data and the lock of every dependency.
+    The commit holds the notebook, the repository's data and the lock of every dependency.
     """
     text = notebook.read_text(encoding="utf-8")
     # data/simulated, or "data" / "simulated", whose quotes have a backslash in a notebook's JSON

@@ -155,7 +155,8 @@ def channel_run(
     f_s : array_like, shape (N, n) or (N,)
         Force feedback at the robot's port [N].
     scattering : Scattering or sequence of Scattering
-        Impedance, bounds of the scales, and f_i; with `leaders` those of every robot.
+        Impedance, bounds of the scales, and f_i; with `leaders` those of every robot, of whose f_i
+        the least is used.
     sample_time : float
         T [s].
     delay_1, delay_2 : float, callable or Delay
@@ -377,8 +378,8 @@ class PassivityController:
     Keep a port with velocity input and force output from giving out more energy than it took,
     (3.19)-(3.20).
 
-    f = f' + z v. In discrete time the observed energy, attribute `energy` [J], is never exactly
-    zero, so that it is tested for ≤ 0.
+    f = f' + z v. In discrete time the observed energy, attribute `energy` [J], passes zero between
+    samples, so that "cancel" tests it for ≤ 0.
 
     Parameters
     ----------

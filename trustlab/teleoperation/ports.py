@@ -2,8 +2,8 @@
 What stands at the ports of a teleoperation loop, with its compiled equations: the scattering
 transformation with variable power scaling, (3.12)-(3.14) and (3.22), and how its waves are read
 when they arrive late; the haptic device with its passivating loop, (3.8)-(3.11), and static force
-scaling, (3.25); and what a passivity controller asks of a port,
-(3.19)-(3.20).
+scaling, (3.25); and what a passivity controller asks of a port, (3.19)-(3.20). The loops' kernels
+join them.
 """
 
 import math
@@ -393,7 +393,7 @@ class HapticDevice(Checked):
 
     @property
     def is_passive(self) -> bool:
-        """Whether B ≥ MΛ and K + ΛB ≥ ΛMΛ, up to rounding."""
+        """Whether B ≥ MΛ and K + ΛB ≥ ΛMΛ with the port's damping in B, up to rounding."""
         return self.largest_mass() >= self.mass * (1.0 - ROUNDING)
 
     def largest_mass(self) -> float:
@@ -444,8 +444,8 @@ class HapticDevice(Checked):
         Return the state one sample later by the implicit midpoint rule, and the energy supplied
         over the sample.
 
-        Storage, dissipation at the midpoint and supply balance to rounding: V(k+1) − V(k) = supply
-        − T S_hd(midpoint).
+        `storage`, `dissipation` at the midpoint and supply balance to rounding: V(k+1) − V(k) =
+        supply − T S(midpoint).
 
         Parameters
         ----------
