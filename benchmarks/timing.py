@@ -81,8 +81,8 @@ def beside(
 ) -> Row:
     """
     Time ours, the peer, ours, the peer …; the goal is that ours takes at most `limit` milliseconds
-    and that the peer takes at least `least` times as long. A peer that does only a share of the work has its
-    time scaled.
+    and that the peer takes at least `least` times as long. A peer that does only a share of the
+    work has its time scaled.
     """
     counts = calls_of(ours), calls_of(theirs)
     mine, other = [], []

@@ -27,7 +27,8 @@ def only_parameters(space: Mapping[str, Any]) -> None:
     Raises
     ------
     ValueError
-        If papermill sets a name that the cell of the parameters does not set; the message suggests the nearest.
+        If papermill sets a name that the cell of the parameters does not set; the message suggests
+        the nearest.
     """
     for before, cell in pairwise(space.get("In", ())):
         declared = ASSIGNED.findall(before)
