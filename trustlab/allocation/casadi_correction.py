@@ -65,6 +65,8 @@ class CorrectionProgram:
     def __init__(self, corrector: Any, extra_cost: Callable | None = None, limit: float = 1.0):
         self.corrector = corrector
         self.limit = positive("limit", limit)
+        # (2.43) alone draws thresholds to their targets, on the way to which they cannot cross.
+        self.guarded = extra_cost is not None
         x, u, k = ca.MX.sym("x", 4), ca.MX.sym("u", 2), ca.MX.sym("k")
         try:
             cost = ca.MX(extra_cost(x, u, k) if extra_cost else 0.0)
@@ -97,7 +99,7 @@ class CorrectionProgram:
             "x": ca.vec(z),
             "p": ca.veccat(now, known, scale),
             "f": scale * (added / c_b**2 + ca.sumsqr(z)),
-            "g": ca.veccat(steps, z[0, :] - z[1, :]),
+            "g": ca.veccat(steps, z[0, :] - z[1, :]) if self.guarded else ca.vec(steps),
         }
         ipopt = IPOPT | {"max_wall_time": self.limit}
         options = {"print_time": False, "error_on_fail": False, "expand": True, "ipopt": ipopt}
@@ -150,7 +152,9 @@ class CorrectionProgram:
         z = (path[[U, L]] - upper_first) / c_b
         now, known = z[:, :1], path[[R, P_R], :-1]
         least, most = np.vectorize(corrector.incentive, "dd")(*known, c_b, robot.p_min, robot.p_max)
-        apart = np.full(corrector.horizon, SLACK + np.diff(upper_first, axis=0) / c_b)
+        apart = np.full(
+            corrector.horizon * self.guarded, SLACK + np.diff(upper_first, axis=0) / c_b
+        )
         # Both thresholds stay between their values now and their targets, which are 0.
         solution = self._solver(
             x0=z[:, 1:].ravel("F"),
